@@ -27,7 +27,7 @@ from hypose.inference.layer import follow as follow
 from hypose.inference.layer import search as search
 from hypose.inference.layer import stream as stream
 from hypose.io.calibrations.calibration_formats import read_any as _read_calibration
-from hypose.io.calibrations.calibration_formats import write_any as _write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration as write_calibration
 from hypose.io.motions.export import export_motion as export_motion
 from hypose.io.motions.results import load_body as load_body
 from hypose.io.motions.results import load_motion as load_motion
@@ -50,7 +50,6 @@ from hypose.tracking.tracker import Tracker as Tracker
 from hypose.tracking.tracker import TrackerSettings as TrackerSettings
 
 read_calibration = _read_calibration
-write_calibration = _write_calibration
 load_gesture_model = _load_gesture_model
 load_result = _load_result
 

@@ -39,7 +39,7 @@ class Option:
     help: one sentence.
     least, most: range of a number, both included.
     above: `least` itself is not possible.
-    unit: of a number, for the error.
+    unit: unit of a number, for the error.
     choices: possible texts; empty: any.
     group: heading in the help.
     flag: name on the command line, where it differs from the name of the field.
@@ -79,7 +79,7 @@ class Option:
 class Declared:
     """Declared option with the name and type of its field or parameter.
 
-    name: of the field or parameter.
+    name: name of the field or parameter.
     kind: bool, int, float, str or Path.
     many: the value is a tuple of `kind`.
     default: `dataclasses.MISSING` where a value must be given.
@@ -104,7 +104,7 @@ class Declared:
     def check(self, value: Any, name: str | None = None) -> Any:  # noqa: ANN401
         """Check a value.
 
-        name: of the option in the error; default: its flag.
+        name: name of the option in the error; default: its flag.
         Returns: the same value; None and tuples are not checked.
         Raises: InputError where the value is not possible.
         """

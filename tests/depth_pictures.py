@@ -4,11 +4,9 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute.part_colours import shown_parts
 from hypose.compute.zbuffer import rasterize
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
-from hypose.evidence.limb_maps import limb_of_faces
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.synthetic.scenes import look_at
 
@@ -32,12 +30,6 @@ def drawn(body: Body, pose, rig: CameraRig):
         maps.append(np.minimum(own, WALL_M))
         persons.append((own < WALL_M).astype(np.uint8))
     return np.stack(maps).astype(np.float32), np.stack(persons)
-
-
-def limbs_of(body: Body, pose, rig: CameraRig):
-    """(C, h, w) labels of the limbs that the scoring mesh shows."""
-    given = body.skin(pose), body.coarse.faces, limb_of_faces(body)
-    return np.stack([shown_parts(*given, camera.projection, camera.size[::-1])[0] for camera in rig])
 
 
 def frame_of(body: Body, pose, rig: CameraRig, index: int = 0, **more) -> Frame:

@@ -7,7 +7,7 @@ from hypose.fusion.joints import COMMON
 from hypose.geometry import se3, so3_exp, transform
 
 # z up, facing -y, left = +x
-_REST = np.array(
+REST = np.array(
     [[0, 0, 1.65], [0, 0, 1.45], [0.18, 0, 1.4], [0.22, 0, 1.1], [0.24, -0.05, 0.85], [-0.18, 0, 1.4], [-0.22, 0, 1.1]]
     + [[-0.24, -0.05, 0.85], [0, 0, 1.15], [0.1, 0, 0.95], [0.11, -0.02, 0.5], [0.11, 0, 0.08], [-0.1, 0, 0.95]]
     + [[-0.11, -0.02, 0.5], [-0.11, 0, 0.08]]
@@ -16,11 +16,11 @@ _REST = np.array(
 
 def walker(t, place=(0.0, 0.0), phase=0.0):
     """(15, 3) m in the world: arms and legs swing (bones keep their lengths), the person turns and sways."""
-    joints, swing = _REST.copy(), 0.6 * np.sin(2 * np.pi * 0.9 * t + phase)
+    joints, swing = REST.copy(), 0.6 * np.sin(2 * np.pi * 0.9 * t + phase)
     for sign, limbs in ((1, ((2, 3, 4), (12, 13, 14))), (-1, ((5, 6, 7), (9, 10, 11)))):
         for root, middle, end in limbs:
             turn = so3_exp([sign * swing, 0, 0])
-            upper, lower = _REST[middle] - _REST[root], _REST[end] - _REST[middle]
+            upper, lower = REST[middle] - REST[root], REST[end] - REST[middle]
             joints[middle] = joints[root] + turn @ upper
             joints[end] = joints[middle] + turn @ so3_exp([-0.3 if end in (4, 7) else 0.3, 0, 0]) @ lower
     turn = so3_exp([0, 0, 0.5 * np.sin(0.4 * t + phase)])

@@ -22,8 +22,7 @@ from hypose.io.videos.camera_sources import CameraImage, StreamEnded
 from hypose.pipeline.live import capture, engine, feeds
 from hypose.pipeline.live.capture import Capture, CaptureRequest, CaptureResult
 from hypose.pipeline.live.engine import LiveEngine, LiveResult
-from hypose.pipeline.live.live_people import LivePeople, LivePose
-from hypose.pipeline.live.live_search import STATE_SEARCHING, LivePersonOptions
+from hypose.pipeline.live.live_people import STATE_SEARCHING, LivePeople, LivePersonOptions, LivePose
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
@@ -94,8 +93,8 @@ def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), gre
         views.append(None if gone else (np.packbits(s.masks[c, :h, :w], axis=1), None))
         picture = np.full((h, w, 3), grey, np.uint8)
         jpegs.append(None if gone else cv2.imencode(".jpg", picture)[1].tobytes())
-    sight = CaptureResult(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
-    return LiveResult(sight, frame, () if pose is None else (pose,))
+    captured = CaptureResult((), 1, (), False, frame.time, frame.time + 0.01, tuple(views), tuple(jpegs))
+    return LiveResult(captured, frame, () if pose is None else (pose,))
 
 
 # ---- the whole pipeline, whose clock waits for it -------------------------------------------------------------------
@@ -193,7 +192,7 @@ class StageCamera:
         pass
 
 
-class EyesInStep:
+class CaptureInStep:
     """In place of `CaptureProcess`: in this process, and half a picture's time passes with each answer, when all that
     was begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause
     s: of the true clock, for what listens."""
@@ -201,35 +200,35 @@ class EyesInStep:
     def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
         self._clock, self._searches, self._pause = clock, searches, pause
         *more, self._stop = given
-        self._eyes, self._half = Capture(*more), 0.5 / more[2].rate
+        self._capture, self._half = Capture(*more), 0.5 / more[2].rate
 
-    def ask(self, question: CaptureRequest) -> None:
-        self._question = question
+    def ask(self, request: CaptureRequest) -> None:
+        self._request = request
 
     def answer(self) -> CaptureResult | None:
         wait(self._searches)
         self._clock.advance(self._half)
-        while not self._stop.wait(self._pause) and not all(map(self._has_come, self._eyes._feeds)):
+        while not self._stop.wait(self._pause) and not all(map(self._has_come, self._capture._feeds)):
             time.sleep(0.001)
-        sight = self._eyes.look(self._question, 0.0)
+        captured = self._capture.look(self._request, 0.0)
         self._clock.advance(1e-3)
-        self._eyes.keep_up()
-        over = self._eyes.ended and not np.isfinite(sight.time)
-        return None if over or self._stop.is_set() else sight
+        self._capture.keep_up()
+        over = self._capture.ended and not np.isfinite(captured.time)
+        return None if over or self._stop.is_set() else captured
 
     def _has_come(self, feed: feeds.CameraFeed) -> bool:
         return self._clock.asleep(feed._thread) or bool(feed.status().trouble)
 
     def close(self) -> None:
         self._clock.end()
-        self._eyes.close()
+        self._capture.close()
 
 
 def in_step(
     monkeypatch: pytest.MonkeyPatch, stage: Stage | None = None, others: Sequence[Any] = (), pause: float = 0.0
-) -> Callable[..., EyesInStep]:
+) -> Callable[..., CaptureInStep]:
     """Every `LiveEngine` that is made from now on goes by a clock that waits for it, as do other modules; with a stage
-    its cameras are opened whatever their addresses. Returns what makes its eyes, of what `CaptureProcess` takes."""
+    its cameras are opened whatever their addresses. Returns what makes its capture, of what `CaptureProcess` takes."""
     clock, searches = stage.clock if stage else Clock(), list[Future[Any]]()
 
     class Pool(ThreadPoolExecutor):
@@ -240,7 +239,7 @@ def in_step(
     for module in (camera_sources, capture, engine, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(engine, "CaptureProcess", made := partial(EyesInStep, clock, searches, pause))
+    monkeypatch.setattr(engine, "CaptureProcess", made := partial(CaptureInStep, clock, searches, pause))
     monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
         monkeypatch.setattr(capture, "_opener", lambda view, *_: lambda: stage.open(view.name))

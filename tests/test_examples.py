@@ -47,6 +47,11 @@ def test_own_masks():
 
 
 @pytest.mark.slow
+def test_limb_maps():
+    assert "0.00 at the right pose" in run(ROOT / "examples/python/limb_maps.py")
+
+
+@pytest.mark.slow
 def test_own_evidence_improves_a_scene():
     path, lines = example("own_evidence.py")
     without, with_it = (float(x) for x in re.findall(r"arms (\d+) mm", run(path)))

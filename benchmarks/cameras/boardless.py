@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.synthetic.wandering import RATE, Wandering, WanderingSettings, wandering
-from hypose.app.jobs.person_job import person_of
+from hypose.app.commands.commands_calibrate import person_of
 from hypose.body.default_body import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.calibration.refine_points import scale_rig, transform_rig

@@ -9,7 +9,7 @@ import numpy as np
 
 from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, transform
 from hypose.gestures.depth_pictures import KINECT
 from hypose.synthetic.gesture_people import ArmGoal, GesturePerson, Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Doer, Keyframe, apply, gesture, movement
@@ -87,7 +87,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
         x = y = np.nan
         position = np.full(3, np.nan)
         if point is not None:
-            position = view.points(point)
+            position = transform(view, point[None])[0]
             x = float(position[0] / position[2] * KINECT.fx + KINECT.cx)
             y = float(position[1] / position[2] * KINECT.fy + KINECT.cy)
             if not (25 < x < PICTURE_SIZE[0] - 25 and 25 < y < PICTURE_SIZE[1] - 25):

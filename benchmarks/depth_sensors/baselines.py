@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hypose.evidence.frame import SensorJoints
-from hypose.fusion.register import Registration, common_joints, confidence_of, register
+from hypose.evidence.frame import TRACKED, SensorJoints
+from hypose.fusion.register import Registration, common_joints, register
 from hypose.geometry import Array
 
 BASELINES = ("best_single", "weighted_mean", "median", "kalman", "dbscan_kalman")
@@ -53,7 +53,7 @@ def single_sensor(positions: ArrayLike, sensor: int) -> Array:
 
 
 def weighted_mean(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """Mean weighted by weights (T, K, J), for example `register.confidence_of(state)`."""
+    """Mean weighted by weights (T, K, J), for example state / TRACKED."""
     s = np.asarray(positions, dtype=np.float64)
     w = np.where(np.isfinite(s[..., 0]), np.asarray(weights, dtype=np.float64), 0.0)
     total = w.sum(1)
@@ -63,7 +63,7 @@ def weighted_mean(positions: ArrayLike, weights: ArrayLike) -> Array:
 
 def confidence_mean(positions: ArrayLike, state: ArrayLike) -> Array:
     """Caon et al. 2011: the mean weighted by the SDK's confidence, tracked 1 and inferred 1/2."""
-    return weighted_mean(positions, confidence_of(state))
+    return weighted_mean(positions, np.asarray(state) / TRACKED)
 
 
 def median(positions: ArrayLike) -> Array:

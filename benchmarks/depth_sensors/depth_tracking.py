@@ -40,8 +40,8 @@ from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import live_rig
-from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.run import track_people, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
@@ -401,7 +401,7 @@ class _Late:
     def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if seen.poses:
-            self.late.append(time.monotonic() - seen.sight.arrival)
+            self.late.append(time.monotonic() - seen.captured.arrival)
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
@@ -417,8 +417,8 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         write_depth_scene(scene, folder)
         found = live_rig(folder, {})
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
-        eyes = CaptureOptions(found.rate, 0.0, found.silhouettes)
-        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(eyes, person), [listener])
+        capture = CaptureOptions(found.rate, 0.0, found.silhouettes)
+        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(capture, person), [listener])
         try:
             engine.start()
             engine.ended.wait(seconds + 10)

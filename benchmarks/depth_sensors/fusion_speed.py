@@ -82,7 +82,7 @@ def _reports(recording: SensorRecording, persons: int) -> list[SensorReport]:
     return sorted(out, key=lambda r: r.arrival)
 
 
-def simulated_latency(reports: Iterable[SensorReport], settings: live.LiveSettings | None = None) -> Array:
+def simulated_latency(reports: Iterable[SensorReport]) -> Array:
     """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
-    frames = replay(live.LiveFuser(settings), reports, time.perf_counter)
+    frames = replay(live.LiveFuser(), reports, time.perf_counter)
     return np.array([1000 * latency for _, latency in frames])

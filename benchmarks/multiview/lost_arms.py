@@ -18,31 +18,25 @@ from benchmarks.multiview.real_recordings import balancing_recording, in_memory
 from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
-from hypose.compute.part_colours import shown_parts
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.frame import Colours, Frame
-from hypose.evidence.limb_maps import LABELS, LimbMaps, limb_of_joints
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.passes import ClipState, track_clip
 from hypose.pipeline.run import finish, track_source
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import Followed, FrameList, tracker_of
+from hypose.pipeline.track_loop import FrameList, TrackedPerson, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
 
 _ARMS = [list(EVALUATED).index(JOINT_NAMES.index(f"{s}_{j}")) for s in ("left", "right") for j in ("elbow", "wrist")]
-_COLOURED, _LIMBS = "/colours", "/limbs"
-_LABEL_MISSING, _LABEL_EXCHANGED, _LABEL_SHIFT_PX = 0.05, 0.05, 2.0
-"""How often a limb of a label image is missing, or has the label of the other side; sd of a label's place."""
+_COLOURED = "/colours"
 _OTHERS = {
     "folded": ("cross_arms", "humaneva-4"),
     f"folded{_COLOURED}": ("cross_arms", "humaneva-4"),
-    f"folded{_LIMBS}": ("cross_arms", "humaneva-4"),
     "serve": ("serve", "humaneva-4"),
-    f"serve{_LIMBS}": ("serve", "humaneva-4"),
     "ixmas-5/walk": ("walk", "ixmas-5"),
     "ixmas-5/punch": ("punch", "ixmas-5"),
 }
@@ -57,8 +51,7 @@ def arms(options: BenchOptions) -> BenchReport:
     Cases: `all` and each action: the product (a body estimated from another clip, the default recipe, the clip solved
     at the end) on walk, box, run, combo, 2 s, masks with level-1 corruption, two draws of the particles each;
     `unsmoothed`: the same, frame after frame. folded, serve, ixmas-5/ACTION: built-in motions, the first four seeds;
-    CASE/colours: with the rendered pictures in addition to the masks, as `hypose track --colours`; CASE/limbs: with a
-    label image per view that tells limbs apart, each limb of it missing or of the wrong side in 5 % of the images.
+    CASE/colours: with the rendered pictures in addition to the masks, as `hypose track --colours`.
     demo: the recording of `hypose demo` (seed 1), draws 0 to 4. draw_difference_mm: by how much two draws differ at
     most in any joint of any frame. Seeds from 600 on; the settings were chosen on 500 to 507."""
     seeds = options.seed_range(16, first=600)
@@ -96,8 +89,6 @@ def _seed(seed: int, others: Sequence[str], draws: int, options: BenchOptions) -
     for case, scene in scenes.items():
         coloured = case.endswith(_COLOURED)
         found = [_with_pictures(f, scene) if coloured else f for f in scene.mask_frames(1.0)]
-        if case.endswith(_LIMBS):
-            found = [_with_limbs(f, scene) for f in found]
         frames = FrameList(found, scene.frame_rate)
         runs = [_distances(scene, frames, body, draw, coloured) for draw in range(draws)]
         out[case] = [[np.round(1e3 * d, 2).tolist() for d in pair] for pair in runs]
@@ -112,31 +103,11 @@ def _with_pictures(frame: Frame, scene: Scene) -> Frame:
     return replace(frame, colours=Colours(codes, frame.silhouettes.usable, edges))
 
 
-def _with_limbs(frame: Frame, scene: Scene) -> Frame:
-    """The frame with label images of its limbs, as a network would make them of its pictures."""
-    assert frame.silhouettes is not None
-    subject, vertices, labels = scene.subject, scene.vertices(frame.index), np.zeros_like(frame.silhouettes.masks)
-    of_face = limb_of_joints(JOINT_NAMES)[subject.dense_weights.argmax(1)[subject.faces[:, 0]]]
-    half = len(LABELS) // 2
-    for c, camera in enumerate(scene.rig.pinhole()):
-        rng = np.random.default_rng([scene.seed, frame.index, c])
-        shown = shown_parts(vertices, subject.faces, of_face, camera.projection, (camera.size[1], camera.size[0]))[0]
-        kind = np.arange(len(LABELS) + 2)
-        for k in range(2, len(kind)):
-            missing, exchanged = rng.random(2) < (_LABEL_MISSING, _LABEL_EXCHANGED)
-            kind[k] = 0 if missing else 2 + (k - 2 + half) % len(LABELS) if exchanged else k
-        at = np.indices(shown.shape) + np.rint(rng.normal(0.0, _LABEL_SHIFT_PX, (2, *shown.shape))).astype(int)
-        h, w = shown.shape
-        labels[c, :h, :w] = kind[shown[np.clip(at[0], 0, h - 1), np.clip(at[1], 0, w - 1)]]
-    seen = labels * (frame.silhouettes.masks > 0)
-    return replace(frame, more=(LimbMaps(seen, frame.silhouettes.rig),))
-
-
 def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: bool) -> tuple[Array, Array]:
     """(T, 15) m: of the smoothed clip, and frame after frame."""
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
-    people = (Followed.at_start("", subject, tracker),)
+    people = (TrackedPerson.at_start("", subject, tracker),)
     clip = track_clip(ClipState(source, scene.frame_rate, options, people=people))
     smoothed = finish(clip).motion.poses
     assert smoothed is not None

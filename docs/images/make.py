@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from hypose.app.reports.overlay import PictureRows, Shown, write_overlay
+from hypose.app.reports.result_pictures import PictureRows, Shown, write_overlay
 from hypose.body.joint_angles import joint_angles
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream

@@ -66,7 +66,7 @@ class Task:
     """One recording to be tracked with some options.
 
     command: recording and options.
-    name: of the options, as the table gives it.
+    name: name of the options, as the table gives it.
     key, recording, frames, results: known once the task is planned (`ordered_tasks`): key of the module's description,
         name of the recording, number of its frames, folder of the results.
     """
@@ -194,7 +194,7 @@ def write_table(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Write results.csv completely or not at all.
 
     rows: values by column (COLUMNS); others are left out, and missing ones are empty.
-    folder: of the file.
+    folder: folder of the file.
     """
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
@@ -299,7 +299,7 @@ def run_batch(
     tasks: planned tasks; finished ones are not tracked again.
     results: folder of all results.
     workers: number of processes on this computer.
-    threads: of each worker; None: the cores are shared among the workers.
+    threads: threads of each worker; None: the cores are shared among the workers.
     scheduler: address of a running Dask scheduler, used instead of own processes.
     Returns: a row of the table for every task, in state "done", "failed" or "stopped"; before=True: it had been
         finished earlier. After a KeyboardInterrupt, tasks that run save their work and are "stopped"; a second

@@ -26,10 +26,17 @@ from hypose.app import options
 from hypose.errors import HyposeError
 from hypose.options import RESEARCH, THREAD_VARIABLES, Declared, declared
 
-CommandTable = Mapping[str, Mapping[str, tuple[str, str]]]
+CommandTable = Mapping[str, Mapping[str, tuple[Any, str]]]
 """Heading -> name of a command -> (where it is, its line in the help). Where: module:function below hypose.app, or
 below hypose.app.commands; or the table of a command that has commands of its own. What function `track` takes is
 declared by the class TrackCommand of hypose.app.options; without such a class by the function itself."""
+GESTURE_COMMANDS: CommandTable = {
+    "Commands": {
+        "train": ("jobs.gesture_job:gesture_train", "Teach a gesture, live or from recorded sessions."),
+        "run": ("jobs.gesture_job:gesture_run", "Watch for gestures: events as JSON lines, OSC, WebSocket."),
+        "eval": ("jobs.gesture_job:gesture_evaluate", "Judge a model on a recorded session."),
+    }
+}
 CLI_COMMANDS: CommandTable = {
     "Begin here": {
         "calibrate": (
@@ -37,10 +44,10 @@ CLI_COMMANDS: CommandTable = {
             "Lenses and places of cameras, from boards or measured points.",
         ),
         "check": (
-            "commands_check:check",
+            "jobs.checking:check",
             "Do the views agree? What is wrong, and --refine cures it.",
         ),
-        "sync": ("commands_check:sync", "How many frames each view is late; cure it with --out."),
+        "sync": ("commands_sync:sync", "How many frames each view is late; cure it with --out."),
         "track": (
             "jobs.person_job:track_command",
             "Track the person: motion files, overlay video, report.",
@@ -67,7 +74,7 @@ CLI_COMMANDS: CommandTable = {
         "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
         "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
         "compare": (
-            "commands_results:compare",
+            "jobs.compare_job:compare",
             "How far a result agrees with markers or another motion.",
         ),
         "play": ("commands_results:play", "Send a tracked motion to an avatar, as it was (VMC)."),
@@ -77,7 +84,7 @@ CLI_COMMANDS: CommandTable = {
         "live": ("commands_live:live", "Cameras in, poses out, while it happens."),
         "fuse": ("jobs.fuse_job:fuse", "One skeleton per person from several depth sensors."),
         "gesture": (
-            "commands_live:GESTURE_COMMANDS",
+            GESTURE_COMMANDS,
             "Learn still gestures in minutes, and watch for them.",
         ),
         "warm-up": ("commands_recordings:warm_up_command", "Compile now what the first run would compile."),
@@ -103,19 +110,17 @@ class _Group(click.Group):
             found = next((commands[name] for commands in self._table.values() if name in commands), None)
             if found is None:
                 return None
-            module, _, member = found[0].partition(":")
+            where, line = found
+            if isinstance(where, Mapping):
+                return self.commands.setdefault(name, _Group(name, where, line))
+            module, _, member = where.partition(":")
             module = f"hypose.app.{'' if '.' in module else 'commands.'}{module}"
 
             def load() -> Any:  # noqa: ANN401
                 return getattr(importlib.import_module(module), member)
 
             declares = getattr(options, f"{name.capitalize()}Command", None)
-            if declares is not None:
-                self.commands[name] = make_command(name, declares, load)
-            elif isinstance(what := load(), Mapping):
-                self.commands[name] = _Group(name, what, found[1])
-            else:
-                self.commands[name] = make_command(name, what)
+            self.commands[name] = make_command(name, declares or load(), load if declares else None)
         return self.commands[name]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -145,7 +150,7 @@ class _Command(click.Command):
 def make_command(name: str, declares: Callable[..., Any], load: Callable[[], Any] | None = None) -> click.Command:
     """Make a command with the options that a function or dataclass declares (`hypose.options.declared`).
 
-    name: of the command.
+    name: name of the command.
     declares: called with the values of the options: a function does the work, a dataclass keeps the values.
     load: imports and returns the function that does the work and takes the instance of the dataclass; None where
         `declares` does it.
@@ -221,7 +226,7 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
         others are those of the commands.
     arguments: default: those of the process; then some of its settings are adapted as well.
     command: group of commands, `hypose` by default.
-    name: of the program, for the help.
+    name: name of the program, for the help.
     """
     if arguments is None:
         _read_names_as_utf8()

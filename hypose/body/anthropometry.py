@@ -30,7 +30,7 @@ _SIDES = ("left", "right")
 class Entity:
     """One factor of the shape, the same for both sides.
 
-    name: of the factor.
+    name: name of the factor.
     kind: 'scale', 'length', 'girth' or 'clothing'.
     sd: standard deviation of its logarithm in the population, at equal stature.
     fat: part of that sd which follows the common factor from slim to heavy.

@@ -181,7 +181,7 @@ class Landmarks:
 class Body:
     """Body that can be tracked.
 
-    name: of the body.
+    name: name of the body.
     skeleton: joint tree with degrees of freedom.
     coarse: closed mesh for scoring silhouettes.
     fine: mesh for display.
@@ -252,7 +252,7 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
 
     body: the body.
     shape: factors to apply.
-    name: of the new body; None: that of the old one.
+    name: name of the new body; None: that of the old one.
     Returns: the new body. Every vertex moves by the blend of its joints' deformations, so that segments stay joined.
         Limb bones stretch along the bone and widen across it; the other joints (pelvis, spine, chest, neck, head,
         hands, feet) stretch along model z and widen along x and y.

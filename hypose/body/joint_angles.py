@@ -208,7 +208,7 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
     """Compute the angle of a knee or elbow hinge between the straight limb and the rest pose.
 
     skeleton: human skeleton.
-    name: of the hinge.
+    name: name of the hinge.
     Returns: rad; added to the value of the degree of freedom it gives the anatomical angle.
     Raises: InputError where the joint is no hinge or has no child.
     """

@@ -55,10 +55,10 @@ class Observations:
 class LensPrior:
     """Prior standard deviations of lens parameters.
 
-    centre: of the principal point from the picture's middle, as a share of its width.
-    aspect: of fx / fy from 1.
-    radial, tangential: of the coefficients k1 k2 (and the fisheye's four) and p1 p2 from 0.
-    k3: of the third radial coefficient from 0.
+    centre: centre of the principal point from the picture's middle, as a share of its width.
+    aspect: aspect of fx / fy from 1.
+    radial, tangential: limits and tangential of the coefficients k1 k2 (and the fisheye's four) and p1 p2 from 0.
+    k3: k3 of the third radial coefficient from 0.
     """
 
     centre: float = 0.05

@@ -24,6 +24,7 @@ from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian_weight
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import sizes, undistorted
+from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
 
 _LIMBS = tuple(
@@ -94,7 +95,7 @@ def limb_offsets(
     parts: list[Array] = [np.zeros((0, 10))]
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
-        size = _size(p)
+        size = person_size(p, least=5)
         if mask is None or size <= 0 or len(limbs) == 0:
             continue
         reach = 0.14 * size
@@ -166,11 +167,6 @@ def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.b
     return out
 
 
-def _size(points: Array) -> float:
-    p = points[points[:, 2] > 0.3, :2]
-    return float(np.ptp(p, axis=0).max()) if len(p) > 4 else 0.0
-
-
 def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
     """Compute how far (N,), px, the mask extends from each start (N, 2) in its direction; 0 where the start is
     outside."""
@@ -199,10 +195,10 @@ def align_to_masks(
     Why: the shift's standard deviation counts limbs, not frames, because the error of a limb is the same all the time
         (clothes, where a detector places a joint).
     """
-    sizes = [s for s in (_size(p) for p in points) if s > 0]
-    if not sizes:
+    found_sizes = [s for s in (person_size(p, least=5) for p in points) if s > 0]
+    if not found_sizes:
         return None
-    scale = 0.006 * float(np.median(sizes))
+    scale = 0.006 * float(np.median(found_sizes))
     velocities = _velocities(points)
     lag, best = 0, None
     for _ in range(5):
@@ -223,7 +219,7 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
     """Compute the effective number of limbs: one that hardly moves has the same bias in every frame.
 
     found: measured offsets.
-    size: of the person, px.
+    size: size of the person, px.
     """
     total = 0.0
     for limb in np.unique(found.limb):

@@ -338,7 +338,6 @@ def person_findings(
     uv, confidence = undistorted(rig, pixels)
     n = len(rig)
     points, _ = triangulate(rig, uv.reshape(n, -1, 2), np.where(confidence > 0.3, confidence, 0).reshape(n, -1))
-    template = human()
     world = points.reshape(*pixels.shape[1:3], 3)
     other = wrong_set(world, names)
     if other is not None:
@@ -346,13 +345,12 @@ def person_findings(
         return
     yield from wrong_way_up(world, names, pixels, rig)
     try:
-        shape = shape_from_keypoints(template, world, tuple(names))
+        shape = shape_from_keypoints(human(), world, tuple(names))
     except (EvidenceError, ValueError):
         return
-    found = float(shape.scale) * template.stature
-    if not np.isfinite(found):
-        return
-    yield from height_findings(found, height, o)
+    found = float(shape.scale) * human().stature
+    if np.isfinite(found):
+        yield from height_findings(found, height, o)
 
 
 def height_findings(found: float, height: float | None, o: Limits) -> Iterator[Finding]:

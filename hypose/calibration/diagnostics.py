@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def examine_silhouettes(
     """Diagnose a calibration with silhouettes alone.
 
     rig: the calibrated cameras.
-    silhouettes: of consecutive frames.
+    silhouettes: silhouettes of consecutive frames.
     o: limits.
     Returns: findings, a report per view, and (C,) delay of each view, frames.
     Raises: EvidenceError where no frame has silhouettes.
@@ -93,12 +94,12 @@ def examine_silhouettes(
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
     # for a person who walks straight, a late camera has the same effect as a displaced one
     left = _score(small, _few(in_step, _JUDGED), size)
-    placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
-    if placed is None:
+    best = _best_moved(rig, small, tracks, size, silhouettes, o) if not findings else None
+    if best is None or best.after > min(o.gross_cured * min(best.before, left), o.tangency):
         findings, tracks = timed, in_step
     else:  # a displaced camera also seems late: it is reported as displaced
-        findings.append(placed[0])
-        small = placed[1]
+        findings.append(best.finding)
+        small = best.moved
         late = _timing(rig, small, tracks, size, findings, o)
         tracks = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
@@ -211,37 +212,6 @@ def _timing(
     return late
 
 
-def _displaced(
-    rig: CameraRig,
-    small: CameraRig,
-    tracks: list[MaskTrack],
-    size: Array,
-    silhouettes: Sequence[Silhouettes | None],
-    in_step: float,
-    o: Limits,
-) -> tuple[Finding, CameraRig] | None:
-    """Find the camera that removes the disagreement of tangent planes when it alone is moved, far better than
-    synchronisation.
-
-    rig: the calibrated cameras.
-    small: the cameras of the masks, at their size.
-    tracks: mask track of each view.
-    size: (C,) size of the person in each view, px of the masks.
-    silhouettes: of the frames, for points of the person.
-    in_step: disagreement that remains after synchronisation, share of the person's size.
-    o: limits.
-    Returns: the finding and the cameras of the masks with the moved one; None where there is no such camera.
-    """
-    few = _few(tracks, _JUDGED)
-    before = _score(small, few, size)
-    if before < o.tangency or len(rig) < 3:
-        return None
-    value, c, moved = _best_moved(small, few, size)
-    if value > o.gross_cured * min(before, in_step) or value > o.tangency:
-        return None
-    return _elsewhere(rig, small, moved, c, before, value, silhouettes), moved
-
-
 def _poses(
     rig: CameraRig,
     small: CameraRig,
@@ -256,27 +226,25 @@ def _poses(
     small: the cameras of the masks, at their size.
     tracks: mask track of each view.
     size: (C,) size of the person in each view, px of the masks.
-    silhouettes: of the frames, for points of the person.
+    silhouettes: silhouettes of the frames, for points of the person.
     o: limits.
     Returns: at most one finding; none where the planes agree already or there are two views.
     """
-    few = _few(tracks, _JUDGED)
-    before = _score(small, few, size)
-    if before < o.tangency or len(rig) < 3:
+    best = _best_moved(rig, small, tracks, size, silhouettes, o)
+    if best is None:
         return []
-    value, c, moved = _best_moved(small, few, size)
+    before, after = best.before, best.after
     disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
-    change = changes(small, moved, _person(silhouettes))[c]
-    far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
-    if min(before, value) > _SCATTER or (far and value > o.tangency):
-        if before <= _SCATTER and value <= _SCATTER:  # the views show one person; the fault is unknown
+    far = best.change.turn_deg > FAR_DEG or best.change.move_m > FAR_M
+    if min(before, after) > _SCATTER or (far and after > o.tangency):
+        if before <= _SCATTER and after <= _SCATTER:  # the views show one person; the fault is unknown
             return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
-        found = _scattered(small, few, size, before)
+        found = _scattered(small, _few(tracks, _JUDGED), size, before)
         text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
         return [replace(found, text=text)]
-    if value > o.extrinsics * before:
+    if after > o.extrinsics * before:
         return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]
-    return [_elsewhere(rig, small, moved, c, before, value, silhouettes)]
+    return [best.finding]
 
 
 def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
@@ -300,32 +268,56 @@ def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, befor
     return Finding("scatter", (name,), text, _LOOK_AT_MASKS, before)
 
 
-def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:
-    """Find the camera that helps most when it is moved: the remaining disagreement, its index, and the rig."""
+class _BestMoved(NamedTuple):
+    """The camera whose movement lessens the disagreement of tangent planes most.
+
+    before, after: disagreement before and after it is moved, shares of the person's size.
+    moved: the cameras of the masks with the moved one.
+    change: how far it is moved.
+    finding: the finding that it is displaced.
+    """
+
+    before: float
+    after: float
+    moved: CameraRig
+    change: CameraChange
+    finding: Finding
+
+
+def _best_moved(
+    rig: CameraRig,
+    small: CameraRig,
+    tracks: list[MaskTrack],
+    size: Array,
+    silhouettes: Sequence[Silhouettes | None],
+    o: Limits,
+) -> _BestMoved | None:
+    """Find the camera that helps most when it alone is moved to where its tangent planes agree best with the others'.
+
+    rig: the calibrated cameras.
+    small: the cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px of the masks.
+    silhouettes: of the frames, for points of the person.
+    o: limits.
+    Returns: None where the planes agree already, or there are two views.
+    """
+    few = _few(tracks, _JUDGED)
+    before = _score(small, few, size)
+    if before < o.tangency or len(rig) < 3:
+        return None
     tried = [_moved_alone(small, few, size, c) for c in range(len(small))]
     left = [_score(moved, few, size) for moved in tried]
     c = int(np.argmin(left))
-    return left[c], c, tried[c]
-
-
-def _elsewhere(
-    rig: CameraRig,
-    small: CameraRig,
-    moved: CameraRig,
-    c: int,
-    before: float,
-    after: float,
-    silhouettes: Sequence[Silhouettes | None],
-) -> Finding:
-    change = changes(small, moved, _person(silhouettes))[c]
-    ratio = rig.sizes[c, 0] / small.sizes[c, 0]
+    change = changes(small, tried[c], _person(silhouettes))[c]
+    px = change.image_px * rig.sizes[c, 0] / small.sizes[c, 0]
     text = (
         f"{rig.names[c]}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
-        f"{change.image_px * ratio:.0f} px in its image; the silhouettes' tangent planes disagree by "
-        f"{100 * before:.1f} % of the person's size, after moving this camera by {100 * after:.1f} %"
+        f"{px:.0f} px in its image; the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's "
+        f"size, after moving this camera by {100 * left[c]:.1f} %"
     )
     cure = "run hypose check --refine and use the calibration that it writes"
-    return Finding("extrinsics", (rig.names[c],), text, cure, change.image_px * ratio)
+    return _BestMoved(before, left[c], tried[c], change, Finding("extrinsics", (rig.names[c],), text, cure, px))
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
@@ -396,7 +388,7 @@ class Observed:
         agree with them in any case.
     clips: file of each view.
     frame_rate: frames/s.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     people: sentences about other people.
     depths: depth maps of some frames, where there are depth cameras.
     """
@@ -430,16 +422,15 @@ class Cured:
     keypoint_lag: int
 
 
-def examine(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
+def examine(observed: Observed) -> tuple[PersonReport, Cured]:
     """Diagnose the calibration of a recording with all checks for which there is evidence, and undo the faults for a
     refinement.
 
     observed: evidence of consecutive frames.
-    limits: limits above which a fault is reported; the defaults where None.
     Returns: the report, and the evidence after the faults were undone.
     Raises: EvidenceError where there are neither key points nor silhouettes.
     """
-    o = limits or Limits()
+    o = Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
     findings += [
@@ -602,7 +593,7 @@ def _views(
     """Report residuals of key points and silhouettes for each view.
 
     pixels: (C, T, K, 3) key points as they are judged in the end.
-    alignments: of key points and masks of each view; None where there are no masks.
+    alignments: alignments of key points and masks of each view; None where there are no masks.
     changed: change of each camera by the refinement; None where there was none.
     """
     c = len(observed.rig)

@@ -92,7 +92,7 @@ def calibrate_from_person(
     points: (C, T, K, 3) px of the stored pictures, and confidence.
     names: K names of the key points.
     lenses: cameras whose poses are ignored; their lenses are used as they are where lenses_known, else as a start.
-    height: of the person, m.
+    height: height of the person, m.
     frame_rate: frames/s.
     largest_s: largest offset that is searched, s; None for one second, and more where that is not enough.
     progress: called with stage, number done and total.

@@ -69,6 +69,14 @@ class Camera:
         """Pinhole projection matrix K [R | t] (3, 4): points in the world, m, to undistorted px (homogeneous)."""
         return self.K @ self.camera_from_world[:3]
 
+    def depths(self, points_world: ArrayLike) -> Array:
+        """Compute how far points are in front of the camera, along its viewing direction (z).
+
+        points_world: (..., 3) m.
+        Returns: (...) m, negative behind the camera.
+        """
+        return np.asarray(points_world, dtype=np.float64) @ self.camera_from_world[2, :3] + self.camera_from_world[2, 3]
+
     def project(self, points_world: ArrayLike) -> Array:
         """Project points in the world to pixels of the camera's image, with lens distortion.
 
@@ -264,7 +272,7 @@ class CameraRig:
     def scaled(self, factor: float) -> CameraRig:
         """Copy the rig for images that were resampled.
 
-        factor: of both sides of each image; the new sizes are rounded to whole pixels, at least 1.
+        factor: factor of both sides of each image; the new sizes are rounded to whole pixels, at least 1.
         """
         return CameraRig(
             tuple(

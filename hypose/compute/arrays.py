@@ -92,36 +92,38 @@ class PreparedMasks(NamedTuple):
 class Standing(NamedTuple):
     """Parts of a body that stand still while a limb is searched, drawn once per frame.
 
-    bits: (C, h, B) their silhouettes, packed like the masks' bits.
-    counts: (C, 2) number of their pixels, and of those in the mask.
-    """
+    bits: (C, h, B) silhouette of these parts in each of C views, one bit per pixel, packed as in
+        `PreparedMasks.bits`.
+    counts: (C, 2) number of pixels of this silhouette, and number of those that lie in the mask."""
 
     bits: NDArray[np.uint8]
     counts: NDArray[np.int64]
 
 
 class ContourArrays(NamedTuple):
-    """Two-way contour distances of C views.
+    """Contours of the masks of C views, prepared for comparing them with the outline of a body in both directions.
 
-    Forward rows compare points of the body's outline with the signed distance of the mask; reverse rows compare points
-    of the mask's outline with the nearest outline point of the body.
+    A row is one residual with its derivatives. Forward rows compare points of the body's outline with the signed
+    distance of the mask; reverse rows compare points of the mask's outline with the nearest outline point of the
+    body.
 
-    sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it depends
+    sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it
+        depends
         on ignored pixels.
     outline: (C, K, 2) points on the mask's edge, px; below -1e5: omitted.
     usable: (C,) False: the view is omitted.
     sizes: (C, 2) width, height.
-    projections: (C, 3, 4).
+    projections: (C, 3, 4) pinhole projections.
     forward_weight: weight of one forward row.
     reverse_weight: weight of one reverse row.
     scale: Geman-McClure scale, px.
-    coarse_scale: the same for the first iterations.
+    coarse_scale: Geman-McClure scale in the first iterations, px.
     spacing: px between outline points of the body (candidates for the reverse rows).
-    stride: every stride-th of them makes a forward row.
+    stride: only every stride-th outline point of the body makes a forward row.
     shrunk: (C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections.
     corners: (C, 2) pixel of the image at which each view's sdf begins.
-    sdf_sizes: (C, 2) its width and height; outside of it the distance counts as infinite.
-    """
+    sdf_sizes: (C, 2) width and height of the part that sdf covers; outside of this part the distance counts as
+        infinite."""
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -140,14 +142,13 @@ class ContourArrays(NamedTuple):
 
 
 class KeypointArrays(NamedTuple):
-    """2D key points; Cauchy cost of the distance in px.
+    """2D key points of one frame for the solver, with a Cauchy cost of their distance in px.
 
     points: (C, K, 3) u, v, weight (0 = not seen).
-    projections: (C, 3, 4).
+    projections: (C, 3, 4) pinhole projections of these pixels.
     joint: (K,) joint to which the point belongs.
-    offset: (K, 3) m in the joint's frame.
-    scale: px, 1 sd.
-    """
+    offset: (K, 3) position of the point on the body, m, in the joint's frame.
+    scale: standard deviation of a point, px."""
 
     points: NDArray[np.float64]
     projections: NDArray[np.float64]
@@ -157,14 +158,13 @@ class KeypointArrays(NamedTuple):
 
 
 class PointArrays(NamedTuple):
-    """3D points; Cauchy cost of the distance in m.
+    """3D points of one frame for the solver, with a Cauchy cost of their distance in m.
 
-    points_world: (M, 3) m.
+    points_world: (M, 3) measured points, m, world.
     weight: (M,) 0 = not seen.
     joint: (M,) joint to which the point belongs.
-    offset: (M, 3) m in the joint's frame.
-    scale: (M,) m, 1 sd.
-    """
+    offset: (M, 3) position of the point on the body, m, in the joint's frame.
+    scale: (M,) standard deviation of each point, m."""
 
     points_world: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -174,7 +174,8 @@ class PointArrays(NamedTuple):
 
 
 class DepthArrays(NamedTuple):
-    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of the
+    """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of
+        the
     distance in m.
 
     points: (M, 3) m, world.
@@ -182,18 +183,18 @@ class DepthArrays(NamedTuple):
     weight: (M,) of each point.
     first: (C + 1,) points first[c] to first[c + 1] are those of sensor c.
     eyes: (C, 3) m, positions of the sensors in the world.
-    maps: (C, h, w) m along the optical axis; 0: not known.
-    sizes: (C, 2) width, height.
+    maps: (C, h, w) depth maps, m along the optical axis; 0: not known.
+    sizes: (C, 2) width and height of each map, px.
     projections: (C, 3, 4) of the maps' pixels; the last row has unit length, so that it gives metres.
     ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
-    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
+    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to
+        the
         first.
     scale: m, Geman-McClure scale of the points.
-    free_weight: weight of the rows of body in front of the measured surface, all of them together, per point of the
-        sensor.
-    free_scale: m, their scale.
-    slack: m in front of the measured surface that cost nothing.
-    """
+    free_weight: weight of the residuals of body parts that lie in front of the measured surface: the sum over all of
+        them, per point of the sensor.
+    free_scale: Geman-McClure scale of these residuals, m.
+    slack: distance in front of the measured surface within which the body costs nothing, m."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -227,9 +228,8 @@ NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np
 class Cues(NamedTuple):
     """Evidence of one frame for the solver.
 
-    contours, keypoints, points: arrays with zero rows where the cue is absent.
-    depth: None is compiled separately.
-    """
+    contours, keypoints, points: outlines, 2D key points and 3D points; arrays of length 0 where the frame has none.
+    depth: depth maps; None: there are none, and the solver is compiled without the code for depth."""
 
     contours: ContourArrays
     keypoints: KeypointArrays
@@ -238,12 +238,11 @@ class Cues(NamedTuple):
 
 
 class PriorArrays(NamedTuple):
-    """Sum of P quadratics 1/2 weight (q - centre)^2, and the limits of the pose.
+    """Prior of a pose q: the sum of P quadratic costs 1/2 weight (q - centre)^2, and the limits of the pose.
 
-    centre: (P, D).
-    weight: (P, D).
-    lower, upper: (D,) limits.
-    """
+    centre: (P, D) pose of least cost of each term, rad and m.
+    weight: (P, D) inverse variances.
+    lower, upper: (D,) limits of the pose."""
 
     centre: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -272,14 +271,15 @@ class SolveSettings(NamedTuple):
 class Workspace(NamedTuple):
     """Scratch memory of one thread for one body and one image size; the contents are undefined between calls.
 
-    vertices, turned, uv, bounds, front, union, start, end: see coverage.py; uv is (V, 2, VIEWS) px.
+    vertices, turned, uv, bounds, front, union, start, end: the arrays that the functions of coverage.py fill
+    (`project_views`, `front_views`, `contours_of_any`, `contours_of_view`); uv is (V, 2, VIEWS) px.
     lines: (5, E) the edges start, end in one view: u, v, u, v, and their lengths, px.
     difference: (h + 1, B) zero between calls.
     own: flat packed silhouette of the body, B bits per row.
     rim: (3, R) points of the body's outline in one view: share of the edge, u, v px.
     rim_edge: (R,) their edges.
     work: flat, values of LANES points at a time, computed in vector lanes.
-    spot: (LANES,).
+    spot: (LANES,) indices for the points in the lanes.
     sorted: (2, R) the same points sorted into bands of rows: u, v px.
     sorted_number, bands: their numbers, and where each band begins.
     rotations, centres, twists: joint frames of the pose.
@@ -291,8 +291,7 @@ class Workspace(NamedTuple):
     row_joints: (M,) their joints.
     lanes: (9, M + 24) the same rows in the order of their joints, one number of a row per line; the last line is
         scratch.
-    place: (J + 1,) where each joint's rows begin.
-    """
+    place: (J + 1,) where each joint's rows begin."""
 
     vertices: NDArray[np.float32]
     turned: NDArray[np.float32]
@@ -329,16 +328,16 @@ _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
-    """Return an array as contiguous and writable, because numba compiles a kernel again for every layout and for
-    read-only arrays.
-    """
+    """Convert an array to a type, contiguous and writable, because numba compiles a kernel again for every layout
+    and for read-only arrays."""
     if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # the usual case
         return a
     return np.require(a, dtype, ["C", "W", "A"])
 
 
 def tidy(arrays: _Arrays) -> _Arrays:
-    """Make all arrays of a NamedTuple contiguous and writable, as `plain`."""
+    """Make all arrays of a NamedTuple contiguous and writable, because numba compiles a kernel again for every other
+    layout."""
     for a in arrays:
         if type(a) is np.ndarray and not a.flags.carray:
             break

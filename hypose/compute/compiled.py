@@ -50,13 +50,15 @@ _log = logging.getLogger("hypose")
 
 @cache
 def log_cache(text: str) -> None:
-    """Log a message about the cache, each text once per process; without a handler it goes to stderr."""
+    """Log a message about the cache of compiled kernels, each text once per process; without a log handler the
+    message goes to stderr."""
     _log.warning("%s", text)
 
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the cache folder of this process; None where no folder can be used. A filled folder may be read-only."""
+    """Return the folder in which this process caches compiled kernels; None where no folder can be used. A folder
+    that already holds the kernels may be read-only."""
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
@@ -69,10 +71,10 @@ def cache_folder() -> Path | None:
 
 @cache
 def make_folder(folder: Path) -> None:
-    """Make a folder in the cache for the users of the cache, and remove files that were not used for 60 days.
+    """Make a folder in the cache, and remove files that were not used for 60 days.
 
-    Files are removed from this folder and from those of other versions with the same prefix (kernels, kernels-of-...).
-    """
+    Files are removed from this folder and from those of other versions with the same prefix (kernels,
+    kernels-of-...)."""
     if not folder.is_dir():
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with contextlib.suppress(OSError):  # another process has just made it
@@ -155,8 +157,8 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
 class KernelCache(NullCache):
     """Cache of one kernel in numba's interface: one file per signature and processor.
 
-    Its methods never raise: what cannot be read is compiled, what cannot be written is compiled again the next time.
-    """
+    Its methods never raise: a kernel whose file cannot be read is compiled; one that cannot be written is compiled
+        again in the next process."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function

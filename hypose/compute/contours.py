@@ -212,7 +212,7 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
     """Append forward rows for every stride-th of n outline points to the found rows, as `contour_rows`.
 
     n, stride: number of points, and step between those that make a row.
-    rim, edge: of `_rim`.
+    rim, edge: as returned by `_rim`.
     ws: scratch memory, with the contour edges.
     sdf: (h, w) f4 signed distance, px.
     i2: 1 / scale^2, 1/px^2.
@@ -316,23 +316,25 @@ def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
 
 @kernel
 def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
-    """Compute the contour rows of view c, which is lane k of those in the workspace.
+    """Compute the contour rows of view c; a row is one residual between the outlines of body and mask, with its
+    derivatives.
 
+    k: position of the view among the views that the workspace holds.
     n_union: number of edges that are on a contour in any of the views in the workspace.
-    mesh, contours: MeshArrays and ContourArrays.
+    mesh, contours: mesh of the body (MeshArrays), and contours of the masks (ContourArrays).
     scale: robust scale, px.
     ws: scratch memory, with the body projected into these views.
     n_found: number of rows found before; new ones are appended to ws.ends and ws.found.
     count: (2,) gets the numbers of forward and reverse rows added.
-    bounds: (5, VIEWS) of the body.
+    bounds: (5, VIEWS) box of the body in each view, x0, x1, y0, y1 px, and its smallest depth, m.
     ws.ends: (2, M) vertices of the edge of each row.
     ws.found: (5, M) f4: place on the edge 0..1, gradient of the residual along u and v per px, weight, residual.
     Returns: cost of the view, and number of found rows.
 
-    Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985); its weight in the normal equations is w
+    Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985); its weight in the normal equations is
+        w
     / (1 + e^2)^2. A view in which the body is not visible costs what its outline points cost at infinite distance.
-    Which points are the outline, and which is nearest, is held fixed in the derivatives.
-    """
+    Which points are the outline, and which is nearest, is held fixed in the derivatives."""
     w, h = contours.sizes[c, 0], contours.sizes[c, 1]
     sdf, outline = contours.sdf[c], contours.outline[c]
     n_outline = outline.shape[0]

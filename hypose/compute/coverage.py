@@ -43,14 +43,16 @@ NEAR = 0.05
 
 @kernel
 def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
-    """Add +-sign at the first row on or below a directed segment, for every column that it crosses; x, y relative to
-    the window.
+    """Add the crossings of a directed segment to a difference image, whose sums down each column count the faces
+    over each pixel.
+
+    For every column that the segment crosses, the sign is added in the first row on or below the segment. x and y
+    are relative to the window.
 
     xa, ya, xb, yb: ends of the segment, px.
     sign: 1 or -1; a segment from right to left counts the other way round.
-    width, height: of the window, px.
-    difference: (height + 1, B) is changed.
-    """
+    width, height: width and height of the window, px.
+    difference: (height + 1, B) difference image, changed in place."""
     s = np.int16(-sign)
     if xa > xb:
         xa, xb, ya, yb = xb, xa, yb, ya
@@ -67,14 +69,15 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
 
 @kernel
 def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
-    """Draw every face separately, clipped at NEAR; slow, for bodies that reach the near plane.
+    """Draw every face separately into a difference image, clipped at the near plane (NEAR, m); slow, for bodies that
+    reach this plane.
 
     vertices, faces: (V, 3) m and (F, 3).
     p: (3, 4) camera of these vertices.
     x0, y0, width, height: window in the image that the difference image shows, px.
-    difference: (height + 1, B) is changed.
-    one_sided: False: faces seen from inside are drawn too, because the near plane opens the body.
-    """
+    difference: (height + 1, B) difference image, changed in place; its sums down each column count the faces over
+        each pixel.
+    one_sided: False: faces seen from inside are drawn too, because the near plane opens the body."""
     polygon = np.empty((4, 2), np.float32)
     depth = np.empty(3, np.float32)
     for f in range(faces.shape[0]):
@@ -126,16 +129,16 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
 
 @kernel
 def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
-    """Add the winding differences of faces to the difference image of their part.
+    """Draw faces into the difference image of their body part; its sums down each column count the faces over each
+    pixel.
 
-    width, height: of the picture, px.
-    uv, z: (V, 2) px and (V,) m of the corners.
+    width, height: width and height of the picture, px.
+    uv, z: (V, 2) px and (V,) depth, m, of the corners.
     faces, part: (F, 3), and (F,) part of each.
     one_sided: omit faces seen from inside.
-    difference: (P, height + 1, B).
+    difference: (P, height + 1, B) one difference image per part, changed in place.
 
-    Faces nearer than NEAR, and those with a corner that is not finite, are omitted.
-    """
+    Faces nearer than NEAR, and those with a corner that is not finite, are omitted."""
     for f in range(faces.shape[0]):
         a, b, c = u4(faces[f, 0]), u4(faces[f, 1]), u4(faces[f, 2])
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
@@ -256,7 +259,7 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
 
     n_union, union: edges that are on a contour in any view, of `contours_of_any`.
     edges: (E, 4) of the mesh.
-    front, uv: of `front_views` and `project_views`.
+    front, uv: as returned by `front_views` and `project_views`.
     start, end: (E,) get their vertices.
     lines: (4, E) f4 gets their ends u, v, u, v px.
     Returns: number of edges.
@@ -277,12 +280,12 @@ def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
 
 @kernel
 def emit_lines(n, lines, x0, y0, width, height, difference):
-    """Add the winding differences of n directed contour edges to a difference image.
+    """Draw the inside of n directed contour edges into a difference image, whose sums down each column count the
+    faces over each pixel.
 
     lines: (4, E) px, as of `contours_of_view`.
     x0, y0, width, height: window in the image that the difference image shows, px.
-    difference: (height + 1, B) is changed.
-    """
+    difference: (height + 1, B) difference image, changed in place."""
     fx, fy = f4(x0), f4(y0)
     for e in range(n):
         xa, ya, xb, yb = lines[0, e] - fx, lines[1, e] - fy, lines[2, e] - fx, lines[3, e] - fy
@@ -375,14 +378,14 @@ def prepare_edge(u, v, a, b, window, edge, columns):
 
 @kernel
 def write_crossings(edge, lane, skip, rows, stride, out, place):
-    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from the
+    """Write the pixel indices row * stride + column at which the prepared edge of a lane crosses its columns, from
+    the
     skip-th on.
 
-    edge: of `prepare_edge`.
+    edge: as returned by `prepare_edge`.
     rows, stride: rows of the window, and bytes per row of the difference image.
     out: i4, gets LANES indices from the flat index `place` on; those past the end of the edge are invalid and are
-        overwritten by the next edge.
-    """
+        overwritten by the next edge."""
     x0, y0, slope, first = edge[0, lane], edge[1, lane], edge[2, lane], edge[3, lane]
     column = cast(ramp(LANES), f4) + (first + f4(skip))
     y = (column - x0) * slope + y0
@@ -393,14 +396,15 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
 
 @kernel
 def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_stride, counts):
-    """Sum STRIP columns of the difference image down the rows, clear them, and count the covered pixels.
+    """Sum STRIP columns of a difference image down the rows, set them to 0, and count the pixels that the body
+    covers (positive sums).
 
     rows, stride: number of rows, and bytes per row of the difference image.
     mask_stride: bytes per row of mask and drawn.
     difference: i1, flat, from index start on.
     mask, drawn: u1, packed, low bit first, from the flat index mask_start on.
-    counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in mask.
-    """
+    counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in
+        mask."""
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -416,15 +420,15 @@ def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_s
 
 @kernel
 def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
-    """Sum STRIP columns of the difference image down the rows, clear them, and write and count the covered pixels.
+    """Sum STRIP columns of a difference image down the rows, set them to 0, and write and count the pixels that the
+    body covers (positive sums).
 
     rows, stride: number of rows, and bytes per row of the difference image.
     difference: i1, flat, from index start on.
     out: u1, packed, low bit first, from the flat index `place` on, `line` bytes per row: gets the pixels with a
         positive sum.
     mask: packed alike.
-    counts: (2,) i8: those pixels are added, and those of them set in mask.
-    """
+    counts: (2,) i8: those pixels are added, and those of them set in mask."""
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -450,17 +454,17 @@ def row_stride(columns):
 
 @kernel
 def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
-    """List the pixels at which the contours cross columns, per lane.
+    """List the pixels at which the contours of a posed body cross image columns, for LANES poses at once (one lane
+    each).
 
     mesh: LaneMesh.
     u, v: (V, LANES) px.
     some: mask of the lanes to draw.
-    window, origin: of `scorer.lane_windows`.
+    window, origin: as returned by `scorer.lane_windows`.
     front, union, edge, columns: scratch.
     lists: (2 LANES, capacity) i4: upward crossings of lane l at 2 l, downward ones at 2 l + 1.
     ends: (2 LANES,) gets their numbers.
-    Returns: mask of the lanes whose lists are full, which must be drawn otherwise.
-    """
+    Returns: mask of the lanes whose lists are full, which must be drawn otherwise."""
     full = u4(0)
     for f in range(mesh.faces.shape[0]):
         front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
@@ -501,11 +505,11 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
 
 @kernel
 def draw_lists(up, down, difference):
-    """Add listed pixels to a difference image.
+    """Add the crossings that `list_crossings` found to a difference image, whose sums down each column count the
+    faces over each pixel.
 
     up, down: (N,) and (M,) i4 flat indices of the pixels that get +1 and -1.
-    difference: flat i1, is changed.
-    """
+    difference: flat i1, is changed."""
     for i in range(up.shape[0]):
         difference[u4(up[i])] += i1(1)
     for i in range(down.shape[0]):

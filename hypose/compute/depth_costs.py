@@ -28,9 +28,9 @@ class SeenDepth(NamedTuple):
 
     maps: (C, h, w) m along the optical axis at the person's pixels, 0 elsewhere.
     sizes: (C, 2) width, height of each.
-    projections: (C, 3, 4) of these pixels, the last row of unit length.
-    counts: (C,) number of pixels of the person.
-    """
+    projections: (C, 3, 4) pinhole projections to these pixels; the last row has unit length, so that it gives
+        metres.
+    counts: (C,) number of pixels of the person."""
 
     maps: NDArray[np.float32]
     sizes: NDArray[np.int64]
@@ -41,15 +41,14 @@ class SeenDepth(NamedTuple):
 class StandingDepth(NamedTuple):
     """Parts of a body that stand still while a limb is searched, drawn once.
 
-    pose: (D,).
+    pose: (D,) pose in which they were drawn.
     rotations: (J, 3, 3) of all joints at this pose.
     centres: (J, 3) m, relative to the root's position.
     joints: indices of the joints that turn, in the tree's order.
     faces: indices of the faces that move.
     vertices: indices of their vertices.
     drawn: (C, h, w) 1/m, 0 = none: inverse depth of the standing faces.
-    cost: (C,) pixels, cost of these.
-    """
+    cost: (C,) depth cost of the standing faces in each view, in pixels."""
 
     pose: NDArray[np.float64]
     rotations: NDArray[np.float64]
@@ -66,15 +65,14 @@ def depth_energy(
 ) -> NDArray[np.float64]:
     """Compute how badly the depths of posed bodies fit the depth maps.
 
-    tree, mesh: of the body.
-    poses: (N, D).
+    tree, mesh: joint tree and mesh of the body.
+    poses: (N, D) pose vectors, rad and m.
     seen: depth maps of the person.
     most_m: largest difference that counts, m.
     threads: number of threads; None: the default.
     Returns: (N, C): the sum over pixels that show both the person and the body of min(|z - z'|, most_m) / most_m,
         divided by the person's pixels. Pixels that show only one of them are left to the silhouettes. 0 for a view
-        without the person. The result is the same for any number of threads, and for a pose alone or among others.
-    """
+        without the person. The result is the same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), seen, np.float32(most_m)
@@ -87,11 +85,11 @@ def standing_depth(
 ) -> StandingDepth:
     """Draw the parts of a body at a pose (D,) that stand still while a limb moves.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
-    """
+    Returns: the drawn parts, for `limb_depth_energy`."""
     q = plain(pose, np.float64)
     n = len(tree.parents)
     parts = moving_parts(mesh, tree, plain(moving, np.bool_))
@@ -116,12 +114,12 @@ def limb_depth_energy(
     """Compute `depth_energy` of poses that differ only in one limb from the standing parts.
 
     poses: (N, D).
-    tree, mesh: of the body.
-    seen, most_m: as in `depth_energy`.
+    tree, mesh: joint tree and mesh of the body.
+    seen: depth maps of the person.
+    most_m: largest difference of depth that counts, m.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
-    Returns: (N, C), as of `depth_energy`.
-    """
+    Returns: (N, C) depth energy of each pose in each view, as defined in `depth_energy`."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), standing, seen, np.float32(most_m), rough
@@ -140,7 +138,7 @@ def limb_shown(
 ) -> NDArray[np.float64]:
     """Measure how much of a limb a sensor shows, at the pose at which the standing parts were drawn.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: depth maps of the person.
     standing: parts without the limb.
     centre: (3,) m, world; areas are computed at its distance.
@@ -231,7 +229,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
     """Compute the costs of drawn poses against depth maps: the sum of `_off`, over most.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     seen: SeenDepth.
     most: largest difference that counts, m.
     out: (N, C) gets the costs, in pixels.
@@ -246,7 +244,7 @@ def _energies(poses, first, last, tree, mesh, seen, most, out):
 def _stand(q, tree, mesh, faces, seen, most, rotations, centres, drawn, cost):
     """Draw some faces of the body at pose q (D,) and compute their cost; all outputs are overwritten.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     faces: indices of the faces that are drawn.
     most: largest difference that counts, m.
     seen: SeenDepth.
@@ -271,7 +269,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
     """Compute the costs out (N, C), as `_energies`, of poses that differ only in one limb from the standing parts.
 
     poses, first, last: (N, D), of which those from first to last are computed.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth.
     seen: SeenDepth.
     most: largest difference that counts, m.
@@ -313,7 +311,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
 def _limb_shown(tree, mesh, standing, seen, centre, reach, apart, out):
     """Measure the visible areas of a limb into out (C, 3), zero before, as `limb_shown`.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     standing: StandingDepth, the parts without the limb.
     seen: SeenDepth.
     centre: (3,) m from the root.

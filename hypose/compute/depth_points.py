@@ -100,13 +100,12 @@ def things_before(
 
     room: (h, w) m, 0 = not known.
     person: (h, w) non-zero = person.
-    corner: px x, y of the map at which the arrays begin.
-    camera: K (3, 3) and camera_from_world (4, 4).
+    corner: (x, y) pixel of the whole map at which the arrays begin.
+    camera: intrinsic matrix (3, 3), px, and camera_from_world (4, 4).
     limit_m: largest depth, m.
-    floor_m: least height, m.
+    floor_m: height above the floor from which a pixel belongs to a thing, m.
     calm: function that removes single pixels from a mask, before the floor is removed.
-    Returns: (h, w) 1 at those pixels, and their number.
-    """
+    Returns: (h, w) 1 at those pixels, and their number."""
     out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
     v, u = np.nonzero(out)
     k, pose = (np.asarray(a, dtype=np.float64) for a in camera)

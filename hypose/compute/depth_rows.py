@@ -93,14 +93,15 @@ def _nearest_edge(vertices, ring, first, last, ax, ay, az, qx, qy, qz):
 
 @kernel
 def closest_on_triangles(work):
-    """Find the point of each of _LANES triangles that is nearest to a point.
+    """Find the point of each of _LANES triangles that is nearest to a given point; every triangle has a point of its
+    own.
 
-    work: (12 _LANES,) f4: lines 0 to 8: corners u and v and the point p (x, y, z), relative to the third corner; lines
+    work: (12 _LANES,) f4: lines 0 to 8: corners u and v and the point p (x, y, z), relative to the third corner;
+        lines
         9 to 11 get the shares s and t of the corners u and v, and the squared distance.
     Why in vector lanes: which part of a triangle is nearest cannot be predicted, and a wrong branch takes as long as
     all cases.
-    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5.
-    """
+    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
     for i in range(_LANES):
         ux, uy, uz = work[i], work[_LANES + i], work[2 * _LANES + i]
         vx, vy, vz = work[3 * _LANES + i], work[4 * _LANES + i], work[5 * _LANES + i]
@@ -246,21 +247,23 @@ def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, ski
 
 @kernel
 def depth_rows(q, mesh, depth, factor, ws, kept, count):
-    """Compute the rows of depth maps, kept in ws.rows as `contour_rows` keeps its own; return their cost.
+    """Compute the rows of depth maps into ws.rows, and return their cost. A row is one residual with its
+    derivatives.
 
     q: (D,) pose; ws.vertices holds the skinned vertices about its root.
-    mesh: MeshArrays.
-    depth: DepthArrays.
+    mesh: mesh of the body (MeshArrays).
+    depth: depth maps and surface points (DepthArrays).
     ws: scratch memory.
     kept: (3,) its first number is that of the rows that wait in ws.rows; it is changed.
-    factor: of the scale.
+    factor: factor of the scale.
     count: (2,) gets the numbers of rows of surface points, and of body in front of the measured surface.
 
-    A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal: 1/2
-    w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to it
+    A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal:
+    1/2
+    w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to
+    it
     than the surface measured in its pixel is pushed back along the optical axis, with the same loss. Which place is
-    nearest is held fixed in the derivatives.
-    """
+    nearest is held fixed in the derivatives."""
     vertices = ws.vertices
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)

@@ -19,13 +19,12 @@ def draw(
     lens: tuple[float, float, float, float],
     inverse: NDArray[np.float32],
 ) -> None:
-    """Draw triangles into a picture of inverse depth, in place.
+    """Draw triangles into a picture of inverse depth with a z-buffer, in place.
 
     points_camera: (V, 3) m in the camera's frame.
     faces: (F, 3), of either orientation.
     lens: fx, fy, cx, cy px.
-    inverse: (h, w) 1/m, 0 = empty.
-    """
+    inverse: (h, w) 1/m, 0 = empty."""
     p = np.asarray(points_camera, dtype=np.float64)
     near = inverse_depth(p[:, 2], NEAR)
     draw_faces(p[:, :2] * near[:, None] * lens[:2] + lens[2:], near, faces, inverse)
@@ -93,7 +92,7 @@ def sense(
 
     inverse: (h, w) inverse depth, 1/m.
     fx: focal length, px.
-    rng: of the noise.
+    rng: random generator of the noise.
     baseline: distance of the projector from the camera, m.
     Returns: (h, w) uint16 mm, 0 = hole.
 

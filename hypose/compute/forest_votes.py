@@ -156,13 +156,13 @@ class Packed(NamedTuple):
 def pack(
     test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
 ) -> Packed:
-    """Convert nt trees of up to N nodes to the scanning layout; a node without samples is background.
+    """Convert nt decision trees of up to N nodes to the memory layout for scanning; a node without samples counts as
+    background.
 
-    test: (nt, N, 5) tests of the nodes.
+    test: (nt, N, 5) depth tests of the nodes.
     left: (nt, N) left children, -1 for a leaf.
     count: (nt, N, C) samples per class.
-    size: (nt,) number of nodes in use.
-    """
+    size: (nt,) number of nodes in use."""
     n = int(size.max())
     number = count[:, :n].astype(np.float64)
     number[number.sum(2) == 0, 0] = 1.0
@@ -177,8 +177,7 @@ def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_
 
     picture: padded depth picture.
     cells: (S,) indices in its `flat`.
-    packed, clip_mm: forest, and its clipping distance.
-    """
+    packed, clip_mm: forest, and the depth difference at which its tests are clipped, mm."""
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
     _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
@@ -251,7 +250,7 @@ def parzen(
 
     picture: padded depth picture.
     scores: (rows, columns) mean shares.
-    stride: of the grid, px.
+    stride: stride of the grid, px.
     majority: share that a cell needs to vote.
     sigma_px: standard deviation of the Gaussian kernel, px.
     Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.

@@ -65,7 +65,7 @@ class PaddedDepth(NamedTuple):
     """Depth picture with a border of FAR_MM.
 
     flat: (n,) int16 mm, rows of the padded picture, one after the other.
-    width: of the padded picture, px.
+    width: width of the padded picture, px.
     border: px on each side.
     rows, columns: size of the picture without border, px.
     focal: focal length, px.

@@ -1,4 +1,8 @@
-"""Compute joint frames, world twists and skinned vertices."""
+"""Compute joint frames, world twists and skinned vertices.
+
+J: number of joints, D: number of degrees of freedom (dof) of a pose, V: number of vertices. A joint frame is a rotation
+world_from_joint and the centre of the joint. Twists are the derivatives of the frames by the pose.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,12 @@ from hypose.geometry import Array
 
 @kernel
 def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
-    """Compute the rotation (3, 3) of the rotation vector (x, y, z), and its left Jacobian (3, 3)."""
+    """Compute the rotation matrix of a rotation vector, and its left Jacobian.
+
+    x, y, z: the rotation vector, rad.
+    rotation: (3, 3) gets exp of the vector.
+    jacobian: (3, 3) gets the left Jacobian: to first order exp(v + dv) = exp(jacobian dv) exp(v).
+    """
     a, b, c, t2 = _rodrigues(x, y, z)
     _turning(x, y, z, t2, a, b, rotation)
     _turning(x, y, z, t2, b, c, jacobian)
@@ -37,8 +46,12 @@ def _rodrigues(x, y, z):
 
 @kernel
 def _turning(x, y, z, t2, p, s, m):
-    """Compute m (3, 3) = 1 + p V + s V^2, V the matrix of the cross product with (x, y, z), whose
-    squared length is t2.
+    """Compute 1 + p V + s V^2, where V is the matrix of the cross product with a vector.
+
+    x, y, z: the vector.
+    t2: its squared length.
+    p, s: factors.
+    m: (3, 3) gets the result.
     """
     m[0, 0] = 1 + s * (x * x - t2)
     m[1, 1] = 1 + s * (y * y - t2)
@@ -53,7 +66,11 @@ def _turning(x, y, z, t2, p, s, m):
 
 @kernel
 def multiply(a, b, out):
-    """Compute out = a @ b for (3, 3); out must be another array."""
+    """Multiply two matrices: out = a @ b.
+
+    a, b: (3, 3).
+    out: (3, 3) gets the product; it must not be a or b.
+    """
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -61,12 +78,14 @@ def multiply(a, b, out):
 
 @kernel
 def joint_frames(q, tree, rotations, centres, twists):
-    """Compute frames and twists of one pose q (D,), relative to the root's position.
+    """Compute the joint frames and twists of one pose, with the root's position as the origin.
 
-    tree: of the body.
-    rotations: (J, 3, 3) gets the rotations.
-    centres: (J, 3) gets the centres minus q[0:3].
-    twists: (D, 6) gets (w, v): a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
+    q: (D,) pose; q[0:3] is the position of the root in the world, m.
+    tree: joint tree of the body.
+    rotations: (J, 3, 3) gets the rotations world_from_joint.
+    centres: (J, 3) gets the joint centres in the world minus q[0:3], m.
+    twists: (D, 6) gets the twist (w, v) of each dof: a point at x (in the world minus q[0:3], m) that moves with the
+        dof has the derivative w x x + v by it.
     """
     twists[:] = 0.0
     for i in range(3):
@@ -77,12 +96,13 @@ def joint_frames(q, tree, rotations, centres, twists):
 
 @kernel
 def frames_of(q, tree, joints, rotations, centres, twists):
-    """Compute frames and twists of some joints, from known frames of all others; see `joint_frames`.
+    """Compute the frames and twists of some joints of one pose; the frames of their parents must be known.
 
     q: (D,) pose.
-    tree: of the body.
-    rotations, centres, twists: as in `joint_frames`, in part filled before.
-    joints: (K,) indices, parents before their children.
+    tree: joint tree of the body.
+    joints: (K,) indices of the joints to compute, parents before their children.
+    rotations, centres, twists: arrays as in `joint_frames`; the rows of these joints and of their dof are filled, other
+        rows stay as they are.
     """
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
@@ -138,7 +158,12 @@ def frames_of(q, tree, joints, rotations, centres, twists):
 
 @kernel
 def _forward_kinematics(poses, tree, rotations, centres):
-    """Compute the joint frames of poses (N, D): rotations (N, J, 3, 3), centres (N, J, 3) in the world."""
+    """Compute the joint frames of N poses; see `forward_kinematics`.
+
+    poses: (N, D).
+    tree: joint tree of the body.
+    rotations, centres: (N, J, 3, 3) and (N, J, 3) get the rotations world_from_joint and the centres in the world, m.
+    """
     twists = np.empty((poses.shape[1], 6))
     for n in range(poses.shape[0]):
         joint_frames(poses[n], tree, rotations[n], centres[n], twists)
@@ -149,10 +174,11 @@ def _forward_kinematics(poses, tree, rotations, centres):
 
 @kernel
 def bone_map(rotation, centre, joint, out):
-    """Compute the map out (12,), row by row (3, 4), that carries a vertex of the resting body with a joint.
+    """Compute the affine map that moves vertices of the resting body rigidly with a joint.
 
-    rotation, centre: frame of the joint, (3, 3) and (3,).
-    joint: (3,) its centre at rest.
+    rotation, centre: frame of the joint in the pose, (3, 3) and (3,) m.
+    joint: (3,) centre of the joint at rest, m.
+    out: (12,) gets the matrix (3, 4) of the map, row by row.
     """
     for i in range(3):
         x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
@@ -166,10 +192,10 @@ def bone_map(rotation, centre, joint, out):
 def skin_vertices(maps, mesh, chosen, out):
     """Skin some vertices of one pose by linear blend skinning, in the numbers of the maps.
 
-    maps: (J, 12) f4 or f8 of `bone_map`.
-    mesh: of the body.
-    chosen: indices of the vertices.
-    out: (V, 3) m gets them; other rows stay.
+    maps: (J, 12) float32 or float64, map of each joint as `bone_map` computes it.
+    mesh: mesh at rest with its skinning weights.
+    chosen: (K,) indices of the vertices to skin.
+    out: (V, 3) gets the positions of these vertices, m, in the frame of the maps; other rows stay as they are.
     """
     b = np.empty(12, maps.dtype)
     for n in range(chosen.shape[0]):
@@ -191,11 +217,13 @@ def skin_vertices(maps, mesh, chosen, out):
 
 @kernel
 def skin_about_root(rotations, centres, tree, mesh, out):
-    """Skin one pose in float32 relative to the root's position, where float32 is accurate to 1e-4 mm.
+    """Skin one pose in float32, with the root's position as the origin.
 
-    rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
-    tree, mesh: of the body.
-    out: (V, 3) f4 gets the vertices minus the root's position, m.
+    rotations, centres: (J, 3, 3) and (J, 3) m, joint frames as `joint_frames` computes them.
+    tree: joint tree of the body.
+    mesh: mesh at rest with its skinning weights.
+    out: (V, 3) float32 gets the vertices in the world minus the root's position, m.
+    Why about the root: there float32 is accurate to 1e-4 mm, however far the person is from the origin of the world.
     """
     n_joints = rotations.shape[0]
     maps = np.empty((n_joints, 12), np.float32)
@@ -216,11 +244,11 @@ def _skin(rotations, centres, tree, mesh, out):
 
 @kernel
 def camera_about_root(projection, q, out):
-    """Convert a projection of points in the world to one of points about the root of a pose.
+    """Convert the projection matrix of a camera to one for points relative to the root of a pose.
 
-    projection: (3, 4) f8.
-    q: (D,) pose, whose first three numbers are the root's position, m.
-    out: (3, 4) f4 gets the projection.
+    projection: (3, 4) float64, pinhole projection of points in the world, m, to pixels.
+    q: (D,) pose; q[0:3] is the position of the root in the world, m.
+    out: (3, 4) float32 gets the projection of points x - q[0:3].
     """
     for r in range(3):
         for c in range(3):
@@ -229,7 +257,12 @@ def camera_about_root(projection, q, out):
 
 
 def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
-    """Compute the rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m of poses (N, D)."""
+    """Compute the joint frames of N poses (forward kinematics).
+
+    poses: (N, D), rad and m.
+    tree: joint tree of the body.
+    Returns: rotations world_from_joint (N, J, 3, 3), and joint centres in the world (N, J, 3), m.
+    """
     q = plain(poses, np.float64)
     n, j = len(q), len(tree.parents)
     rotations, centres = np.empty((n, j, 3, 3)), np.empty((n, j, 3))
@@ -240,9 +273,10 @@ def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array
 def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
     """Compute the vertices of N poses by linear blend skinning.
 
-    rotations, centres: (N, J, 3, 3) and (N, J, 3) m, joint frames in the world.
-    tree, mesh: of the body.
-    Returns: (N, V, 3) m, world.
+    rotations, centres: joint frames as `forward_kinematics` returns them, (N, J, 3, 3) and (N, J, 3) m.
+    tree: joint tree of the body.
+    mesh: mesh at rest with its skinning weights.
+    Returns: (N, V, 3) vertices in the world, m.
     """
     r, c = plain(rotations, np.float64), plain(centres, np.float64)
     out = np.empty((len(r), len(mesh.vertices), 3))

@@ -167,9 +167,7 @@ _OWN = threading.local()
 
 
 def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
-    """Return this thread's scratch arrays for a mesh and images of (rows, columns), as `scorer._silhouette_xor` unpacks
-    them.
-    """
+    """Return this thread's scratch arrays for scoring a mesh on images of (rows, columns)."""
     known: dict[tuple[int, ...], tuple[Any, ...]] = _OWN.__dict__.setdefault("scratch", {})
     key = (len(mesh.needed), len(mesh.vertices), len(mesh.faces), len(mesh.edges), *image)
     if key not in known:

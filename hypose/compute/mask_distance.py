@@ -32,12 +32,12 @@ _on_1, _on_2, _on_4, _on_8, _on_16 = (shuffle(range(STEPS - k, 2 * STEPS - k)) f
 
 @kernel
 def nearest_from(line, step, far, right):
-    """Compute the distance transform along a row, in one direction and in vector lanes.
+    """Compute the distance transform along a row in one direction, in place, several numbers at a time.
 
-    line: (n,) i2; the n // STEPS * STEPS numbers at its left end (or right end, where `right`) get the least of line[k]
+    line: (n,) i2; the n // STEPS * STEPS numbers at its left end (or right end, where `right`) get the least of
+        line[k]
         + step |i - k| over all k on that side, and themselves.
-    far: value beyond the end. All numbers fit into 16 bits.
-    """
+    far: value beyond the end. All numbers fit into 16 bits."""
     n, step, beyond = line.shape[0], i2(step), splat(i2(far), STEPS)
     carry, away = i2(far), (cast(ramp(STEPS), i2) + i2(1)) * step
     for first in range(0, n // STEPS * STEPS, STEPS):

@@ -58,19 +58,19 @@ class MaskRuns(NamedTuple):
 
 
 def no_bits(h: int, w: int) -> Bits:
-    """Allocate the bits of an empty mask of h rows and w columns."""
+    """Allocate the packed bits (64-bit words, h) of an empty mask of h rows and w columns."""
     return np.zeros(((w + 63) // 64, h), np.uint64)
 
 
 def bits_of(mask: Mask) -> Bits:
-    """Convert a mask (h, w), non-zero = set, to bits."""
+    """Pack a mask (h, w), non-zero = set, to one bit per pixel."""
     bits = no_bits(*mask.shape)
     _bits_of(plain(mask, np.uint8), bits)
     return bits
 
 
 def mask_of(bits: Bits, width: int) -> Mask:
-    """Convert bits to a mask (h, width) of 0 and 1."""
+    """Convert packed bits, one per pixel, to a mask (h, width) of 0 and 1."""
     rows = np.ascontiguousarray(bits.T).view(np.uint8)
     return np.unpackbits(rows, axis=1, count=width, bitorder="little")
 
@@ -78,11 +78,10 @@ def mask_of(bits: Bits, width: int) -> Mask:
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     """Clean a mask.
 
-    bits: of the mask; they are changed.
+    bits: the mask, packed to one bit per pixel (`bits_of`); they are changed.
     shape: (h, w) of the mask.
     how: settings.
-    Returns: the cleaned mask as runs.
-    """
+    Returns: the cleaned mask as runs."""
     about = np.zeros(5, np.int64)
     spans = element_spans(how.open_px), element_spans(how.close_px, True)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
@@ -99,7 +98,7 @@ def runs_of(mask: Mask) -> MaskRuns:
 def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
     """Draw runs as a mask.
 
-    runs: of the mask.
+    runs: runs of the mask.
     out: picture in which pixels are set, whose first pixel is the corner (y, x) of the mask; None: a new mask (h, w).
     Returns: that picture.
     """
@@ -143,9 +142,10 @@ ALL = u8(0xFFFFFFFFFFFFFFFF)
 
 @kernel(inline=True)
 def word_of(eights, k):
-    """Return word k of a row of zeros and ones, one per byte, given as eight bytes per number in eights
-    (8 words,) u8.
-    """
+    """Pack 64 pixels of a row into one 64-bit word.
+
+    eights: (8 words,) uint64, eight pixels each, one byte (0 or 1) per pixel.
+    k: index of the word."""
     word = u8(0)
     for i in range(8):  # the lowest bits of eight bytes, times this, become the highest byte
         word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
@@ -177,7 +177,10 @@ def _within(box, k):
 
 @kernel
 def close_to(bits, box):
-    """Clear the pixels outside the box's columns, in the box's rows, of bits (words, h)."""
+    """Clear the pixels that lie in the rows of a box but outside its columns.
+
+    bits: (words, h) packed mask.
+    box: rows and columns."""
     for k in range(bits.shape[0]):
         inside, column = _within(box, k), bits[k, box[0] : box[1]]
         for i in range(column.shape[0]):
@@ -186,11 +189,11 @@ def close_to(bits, box):
 
 @kernel
 def grown(bits, spans, box, flip, out):
-    """Dilate bits by the spans, within a box.
+    """Dilate a packed mask by a structuring element, within a box.
 
+    spans: (n, 4) the structuring element (`element_spans`).
     flip: 0; or ALL: the unset pixels are dilated, and out gets the rest (erosion).
-    out: gets the result in the box.
-    """
+    out: gets the result in the box."""
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
     for k in range(words):
@@ -223,9 +226,10 @@ def grown(bits, spans, box, flip, out):
 
 @kernel
 def opened(bits, spans, box, out):
-    """Open bits in the box by the spans, into out; beyond the box everything counts as set for the erosion, as unset
-    for the dilation.
-    """
+    """Compute the morphological opening of a packed mask within a box, into out.
+
+    spans: (n, 4) the structuring element (`element_spans`). Pixels beyond the box count as set for the erosion, and
+        as unset for the dilation."""
     less = np.zeros_like(bits)
     grown(bits, spans, box, ALL, less)
     grown(less, spans, box, u8(0), out)
@@ -235,7 +239,7 @@ def opened(bits, spans, box, out):
 def _bounds(bits, box):
     """Find the box around the set pixels.
 
-    bits: of the mask.
+    bits: bits of the mask.
     box: (4,) gets y0, y1, x0, x1.
     Returns: False for an empty mask.
     """
@@ -341,7 +345,7 @@ def _most_runs(bits, box):
 def _fill_holes(bits, box, most, runs, parent):
     """Set the small regions of unset pixels in the box, connected over edges only.
 
-    bits: of the mask.
+    bits: bits of the mask.
     box: (4,).
     most: largest area that is filled, px.
     runs, parent: scratch of `_label`.

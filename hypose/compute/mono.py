@@ -52,7 +52,7 @@ class MonoModel(NamedTuple):
 class EdgeSettings(NamedTuple):
     """Settings of the edge term, which compares contours with image edges.
 
-    form: of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
+    form: form of the loss: GAUSSIAN, LORENTZIAN or LECLERC.
     sigma_px: its scale, px.
     height: nu, the cost of one independent sample that finds no edge.
     sample_px: px of contour per independent sample.
@@ -86,7 +86,7 @@ class EdgeSettings(NamedTuple):
 class FlowSettings(NamedTuple):
     """Settings of the flow term, which compares inner nodes with optical flow.
 
-    form, sigma_px, height: of the loss, as for edges.
+    form, sigma_px, height: form, scale (px) and height of the loss, as for edges.
     area_px: side of the square that makes one independent sample, px.
     spacing_px: distance of the grid's nodes, px.
     consistency_px: nodes with a larger forward-backward error are outliers.
@@ -105,7 +105,7 @@ class EdgeArrays(NamedTuple):
 
     field: (h, w, 2) image gradient in units of a full edge, weighted by the motion boundaries.
     use: False: the term is omitted.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     field: NDArray[np.float32]
@@ -119,7 +119,7 @@ class FlowArrays(NamedTuple):
     flow: (h, w, 2) px from the previous picture to this one, of a part of the image; (0, 0, 2) where there is none.
     error: (h, w) px, forward-backward.
     corner: (2,) x, y of the part's first pixel.
-    settings: of the term.
+    settings: settings of the term.
     """
 
     flow: NDArray[np.float32]
@@ -178,7 +178,7 @@ class MonoWorkspace(NamedTuple):
 def model(tree: TreeArrays, mesh: MeshArrays, carried: NDArray[np.bool_], projection: Array) -> MonoModel:
     """Make the model of a body before a camera.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     carried: (J,) joints that the estimated degrees of freedom move.
     projection: (3, 4) pinhole.
     """
@@ -214,12 +214,11 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 @kernel
 def robust(form, s, sigma2):
-    """Compute rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs
+    """Compute rho(s) and its first and second derivative (height 1): equations (2) and (3) of Sminchisescu & Triggs
     2001, and s / sigma^2 for the Gaussian.
 
     s, sigma2: squared length of the residual, and squared scale, px^2 or m^2.
-    form: GAUSSIAN, LORENTZIAN or LECLERC.
-    """
+    form: GAUSSIAN, LORENTZIAN or LECLERC."""
     t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
         value, first, second = quadratic(t, gain)
@@ -244,12 +243,13 @@ def curvature(first, second, s):
 
 @kernel
 def image_direction(p, u, v, depth, nx, ny):
-    """Compute the derivative (x, y, z) by a point in the world of its pixel (u, v) along (nx, ny), px / m.
+    """Compute the derivative of a pixel's position along an image direction with respect to the point in the world,
+    px / m.
 
     p: (3, 4) projection.
     u, v, depth: pixel and depth of the point, px and m.
     nx, ny: direction in the image.
-    """
+    Returns: derivatives by x, y and z."""
     iz = 1 / depth
     dx = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
     dy = (nx * (p[0, 1] - u * p[2, 1]) + ny * (p[1, 1] - v * p[2, 1])) * iz
@@ -465,7 +465,7 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
     """Compile (or load from the cache) every kernel of monocular tracking on a toy body at pose (D,), before a pinhole
     (3, 4) of 32 x 32 px.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     """
     still, error = np.zeros((32, 32, 2), np.float32), np.zeros((32, 32), np.float32)
     picture = PictureArrays(

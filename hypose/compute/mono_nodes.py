@@ -27,13 +27,12 @@ INNER, OUTER = 1.5, 1.7
 
 @kernel
 def pose_mesh(q, model, ws):
-    """Compute the joint frames, the vertices about the root, their pixels and depths, and which faces are seen from
-    outside.
+    """Compute the joint frames, the vertices about the root, their pixels and depths, and the faces that are seen
+    from outside, at pose q (D,).
 
-    q: (D,) pose.
+    q: (D,) pose, rad and m.
     model: MonoModel.
-    ws: scratch memory that gets them.
-    """
+    ws: scratch memory that gets them."""
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
     skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
     p = np.empty((3, 4), np.float32)

@@ -54,13 +54,13 @@ def _step(area: float) -> int:
 
 
 def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[NDArray[np.float32], ...]:
-    """Compute the strength of colour edges for `colour_sums`.
+    """Compute the strength of colour edges in the masks of each view, for `colour_sums`.
 
-    masks: of the frame.
+    masks: masks of the frame.
     edges: (C, 2, h, w) changes of colour; None: zeros.
-    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
-        change within the mask, at most 1, minus its mean over the mask.
-    """
+    Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the
+        usual
+        change within the mask, at most 1, minus its mean over the mask."""
     out = list[NDArray[np.float32]]()
     for c, (w, h) in enumerate(masks.sizes.tolist()):
         step = _step(masks.areas[c])
@@ -90,15 +90,14 @@ def colour_sums(
 
     vertices: (N, V, 3) m.
     faces, part: (F, 3), and (F,) part of each.
-    masks: of the frame.
+    masks: masks of the frame.
     codes: (C, h, w) colour of each pixel.
     table: (C, P, K) value by part and colour.
     limb: (F,) limb of each face; None: one limb.
-    edges: of `rim_edges`; None: zeros.
+    edges: strength of colour edges, as returned by `rim_edges`; None: zeros.
     Returns: (N, C) sums of the table over the pixels of the mask in which the body shows a part; (N, C) sums of the
         edges along the rims of limbs in front of others. 0 in views that are not usable. Of large masks only every
-        second pixel or so is read.
-    """
+        second pixel or so is read."""
     v = plain(vertices, np.float64)
     out, rims = np.zeros((2, len(masks.usable), len(v)))
     use, f = np.flatnonzero(masks.usable), plain(faces, np.int32)

@@ -167,7 +167,7 @@ def _draw_parts(uv, z, faces, part, closed, width, height, bits):
 
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces, part, closed: as in `draw_parts`.
-    width, height: of the picture, px.
+    width, height: width and height of the picture, px.
     """
     stride, unread = row_stride(width), np.zeros(2, np.int64)
     difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)

@@ -150,7 +150,7 @@ def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.i
 def shrink_undistort(image: Image, lens: Undistortion, box: Box | None = None, out: Image | None = None) -> Image:
     """Shrink and undistort a stored picture (H, W, 3).
 
-    lens: of the camera.
+    lens: lens parameters of the camera.
     box: part of the working size to compute; None: all.
     out: memory of `new_picture` to be used; None: new memory.
     Returns: (h, w, 3) of the working size, black where the camera does not see, undefined outside the box.
@@ -203,7 +203,7 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
 def _needed(lens: Undistortion, box: Box | None) -> Box:
     """Compute the part of the shrunk picture from which the undistorted pixels in the box are made.
 
-    lens: of the camera.
+    lens: lens parameters of the camera.
     box: in the undistorted picture; None: all of it.
     Returns: y0, y1, x0, x1, half open, px of the shrunk picture.
     """

@@ -96,7 +96,7 @@ _BLOCK = 128
 def pixels(m, x, y, z, n, width, height, line, place):
     """Compute the pixels of n points x, y, z (n,) under a projection m (3, 4).
 
-    width, height: of the image, px.
+    width, height: width and height of the image, px.
     line: number of pixels of a row in memory.
     place: (n,) i4 gets line x row + column; -1 outside the image, and nearer than 0.05 m.
     """
@@ -189,7 +189,7 @@ def standing(
     """Draw the silhouettes of the parts of a body that do not move when some joints turn.
 
     pose: (D,) at which the parts stand.
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     prepared: masks of the frame.
     moving: (J,) bool, joints that turn; they and the joints below them are left out.
     Returns: the silhouettes in the masks' pixels, ignored pixels included, and their counts without these.

@@ -126,7 +126,7 @@ def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, j
 
     n_rows: number of rows before.
     vertices: (V, 3) f4 m, about the root.
-    mesh: of the body.
+    mesh: mesh of the body.
     ends, found: as in contours.contour_rows.
     p: (3, 4) f4, camera of the view.
     work: (9 x LANES,) f4, scratch.

@@ -87,7 +87,7 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     from first on (the last one repeated).
 
     first: index of the first pose.
-    tree: of the body.
+    tree: joint tree of the body.
     poses: (N, D).
     needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
@@ -176,7 +176,7 @@ def _add_row(maps, at, x, y, z, w, total):
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
     """Skin the mesh about each pose's root, into points (V, 3, LANES) f4.
 
-    tree: of the body.
+    tree: joint tree of the body.
     frames, centres, axis, scratch, maps: as for `bone_maps`.
     poses, first: (N, D) poses, and the first of the LANES poses.
     mesh: LaneMesh.
@@ -275,13 +275,13 @@ def _silhouette_xor(
     (C,).
 
     poses: (N, D).
-    tree, mesh: of the body, the mesh as LaneMesh.
+    tree, mesh: joint tree and mesh of the body, the mesh as LaneMesh.
     prepared: masks of the frame.
     box_areas: (C,) pixels of the masks in the boxes.
     moved_joints, turning: (J,) joints to compute for the first block, and for the others.
     drawn: (C, h, B) packed like the masks, pixels that belong to the body in every pose.
     drawn_counts: (C, 2) model and intersection pixels of these.
-    scratch: of lane_mesh.lane_scratch, for this mesh and these images.
+    scratch: scratch memory from `lane_mesh.lane_scratch`, for this mesh and these images.
     out: (N, C, 3) gets (xor, model, intersection) pixels.
     """
     views, image_rows, _ = prepared.masks.shape
@@ -365,7 +365,8 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
 
     poses: (N, D).
     tree, mesh, turning, prepared, boxes, drawn_counts, scratch: as for `_silhouette_xor`.
-    cells: of `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints that do not
+    cells: as returned by `uncovered`. The other arguments are as for `_silhouette_xor`, which has computed the joints
+        that do not
         turn.
     """
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
@@ -479,7 +480,7 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Compare silhouettes of the mesh at poses (N, D) with the frame's masks.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     prepared: masks of the frame.
     boxes: (C, 4) = x0, x1, y0, y1 (half open, px) within which pixels are counted; None: each view's whole image.
     threads: number of threads; None: the default.
@@ -549,7 +550,7 @@ def limb_energies(
 ) -> Array:
     """Compute the silhouette energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     prepared: masks of the frame.
     rest: drawing of the standing parts; None: it is made.
     slack, more: poses whose energy is certainly above `slack` times that of the first pose, plus `more`, are not

@@ -24,7 +24,7 @@ _I32, _I64 = ir.IntType(32), ir.IntType(64)
 
 
 class Vec(types.Type):
-    """Numba type of a vector of n numbers."""
+    """Numba type of a vector of n numbers of one type, on which the processor computes in parallel (SIMD)."""
 
     def __init__(self, dtype: Any, n: int) -> None:
         self.dtype, self.n = dtype, n
@@ -185,7 +185,7 @@ def store(typingctx: Any, array, index, value):
 
 @intrinsic(prefer_literal=True)
 def splat(typingctx: Any, number, n):
-    """Make a vector of a number in n (a constant) lanes."""
+    """Make a vector of n elements (a constant) that all have the value of a number."""
     dtype = types.unliteral(number)
     return Vec(dtype, n.literal_value)(dtype, n), lambda c, b, sig, args: _in_all_lanes(b, args[0], sig.return_type.n)
 
@@ -199,13 +199,13 @@ def ramp(typingctx: Any, n):
 
 @intrinsic
 def where(typingctx: Any, mask, yes, no):
-    """Choose in each lane `yes` where the mask is true, else `no`."""
+    """Choose element by element between two vectors: `yes` where the mask is true, else `no`."""
     return yes(mask, yes, no), lambda c, b, sig, args: b.select(*args)
 
 
 @intrinsic
 def bits(typingctx: Any, mask):
-    """Pack truth values into one unsigned integer, first lane lowest."""
+    """Pack a vector of truth values into one unsigned integer; the first element is the lowest bit."""
     kind = types.Integer.from_bitwidth(max(mask.n, 8), signed=False)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -222,10 +222,9 @@ def lane(typingctx: Any, x, k):
 
 @intrinsic
 def cast(typingctx: Any, x, dtype):
-    """Convert to numbers of another type (numpy's); floating point is truncated to whole numbers, and must fit.
+    """Convert a vector to another number type; floating-point numbers are truncated, and must fit into the new type.
 
-    x, dtype: the vector, and numpy's type.
-    """
+    x, dtype: the vector, and the new type (a type of numpy)."""
     kind = Vec(dtype.dtype, x.n)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -242,7 +241,9 @@ def cast(typingctx: Any, x, dtype):
 
 
 def shuffle(order: Sequence[int]) -> Any:
-    """Make a function (x, y) that returns a vector of these lanes of x and, counted on, of y."""
+    """Make a function of two vectors x and y that returns the vector of the listed elements.
+
+    order: index of each element of the result; indices from the length of x on select elements of y."""
 
     def shuffled(typingctx: Any, x, y):
         lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))
@@ -278,7 +279,7 @@ def times_plus(typingctx: Any, x, y, z):
 
 @intrinsic
 def popcount(typingctx: Any, word):
-    """Count the bits of a word (u8) that are set."""
+    """Count the bits that are set in a 64-bit unsigned integer."""
     return types.int64(types.uint64), lambda c, b, sig, args: b.ctpop(args[0])
 
 
@@ -290,12 +291,12 @@ def lowest_bit(typingctx: Any, word):
 
 @intrinsic
 def as_word(typingctx: Any, x):
-    """Reinterpret eight bytes as one integer (u8)."""
+    """Reinterpret a vector of eight bytes as one 64-bit unsigned integer."""
     return types.uint64(x), lambda c, b, sig, args: b.bitcast(args[0], _I64)
 
 
 @intrinsic
 def as_bytes(typingctx: Any, word):
-    """Reinterpret an integer (u8) as eight bytes."""
+    """Reinterpret a 64-bit unsigned integer as a vector of eight bytes."""
     kind = Vec(types.uint8, 8)
     return kind(types.uint64), lambda c, b, sig, args: b.bitcast(args[0], c.get_value_type(kind))

@@ -36,15 +36,15 @@ _ROWS, _VIEWS, _FORMED = 0, 1, 2
 
 @kernel
 def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
-    """Convert sums per joint to gradient (D,) and Gauss-Newton matrix (D, D).
+    """Convert the normal equations per joint to the gradient (D,) and Gauss-Newton matrix (D, D) of a pose.
 
-    tree: of the body.
-    twists: (D, 6) of the pose.
+    tree: joint tree of the body.
+    twists: (D, 6) motion of the body per unit of each dof, as `joint_frames` fills it.
+    hessian, gradient: get the results.
     wrench_hessian, wrench_gradient: (J, 21) and (J, 6) sums per joint.
 
     Sums are folded from child to parent; then H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and
-    its ancestors.
-    """
+    its ancestors."""
     n_joints, n_dof = tree.parents.shape[0], twists.shape[0]
     block = np.empty((n_joints, 6, 6))
     pull = np.empty((n_joints, 6))
@@ -147,14 +147,14 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at +
+    """Compute the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at
+    +
     s <= upper.
 
     hessian, gradient: H (D, D) and g (D,).
     lower, upper: (D,) bounds.
-    damping: relative to the diagonal.
-    Returns: None where the matrix is not positive definite.
-    """
+    damping: factor of the diagonal that is added to H.
+    Returns: step (D,); None where the matrix is not positive definite."""
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
     step = np.empty(len(q))
     try:
@@ -165,10 +165,11 @@ def bounded_step(
 
 @kernel
 def form_found(found_of, mesh, ws):
-    """Make rows of all found contour points that have none yet; found_of: see cost_at.
+    """Make a row (residual with its derivatives) of each found contour point that has none yet.
 
-    mesh, ws: of the body, and scratch memory with the found points.
-    """
+    found_of: state that `cost_at` fills.
+
+    mesh, ws: mesh of the body, and scratch memory with the found points."""
     cameras, first, state = found_of
     for c in range(state[_FORMED], state[_VIEWS]):
         n_rows, n_points = state[_ROWS], first[c + 1] - first[c]
@@ -184,17 +185,18 @@ def form_found(found_of, mesh, ws):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
-    """Compute the cost at pose q (D,).
+    """Compute the cost of all evidence and priors at pose q (D,).
 
-    tree, mesh: of the body.
-    contours, keypoints, points, priors: ContourArrays, KeypointArrays, PointArrays, PriorArrays.
+    tree, mesh: joint tree and mesh of the body.
+    contours, keypoints, points, priors: evidence and priors (ContourArrays, KeypointArrays, PointArrays,
+        PriorArrays).
     scale: robust scale of the contours, px.
     ws: scratch memory.
-    depth: None is compiled separately, without the code for depth.
-    counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of depth.
+    depth: DepthArrays; None: no depth, compiled separately without the code for depth.
+    counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of
+        depth.
     found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
-        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made.
-    """
+        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made."""
     cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
@@ -243,12 +245,14 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
 
 @kernel
 def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
-    """Compute hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just computed at q.
+    """Compute the Gauss-Newton matrix and the gradient of the cost that `cost_at` has just computed at q.
 
-    q, tree, mesh, priors: as in `cost_at`.
+    hessian, gradient: (D, D) and (D,), overwritten with the result.
+
+    q: (D,) pose.
+    tree, mesh, priors: joint tree, mesh and priors with which `cost_at` was called.
     ws: scratch memory.
-    found_of: what `cost_at` has left.
-    """
+    found_of: state that `cost_at` has filled."""
     form_found(found_of, mesh, ws)
     rows = found_of[2][_ROWS]
     sum_rows(rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
@@ -349,7 +353,7 @@ MOST_FOUND = 3072
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
     """Make scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread.
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     """
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4, i4 = np.float32, np.int32
@@ -417,7 +421,7 @@ def evaluate(
 ) -> Evaluation:
     """Compute cost and derivatives of all evidence at one pose (D,).
 
-    tree, mesh: of the body.
+    tree, mesh: joint tree and mesh of the body.
     cues, priors: evidence and priors of the frame.
     ws: scratch memory.
     coarse: whether to use the coarse scale of the contours.
@@ -429,11 +433,10 @@ def evaluate(
 class Solution(NamedTuple):
     """Solved pose.
 
-    pose: (D,).
+    pose: (D,) solved pose, rad and m.
     evaluation: cost and derivatives at the pose.
     iterations: number of iterations.
-    converged: whether the last step was below the tolerance.
-    """
+    converged: whether the last step was below the tolerance."""
 
     pose: Array
     evaluation: Evaluation
@@ -452,13 +455,12 @@ def solve(
 ) -> Solution:
     """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
 
-    tree, mesh: of the body.
-    start: (D,) pose.
+    tree, mesh: joint tree and mesh of the body.
+    start: (D,) start pose, rad and m.
     cues, priors: evidence and priors of the frame.
-    settings: of the solve.
+    settings: number of iterations, tolerance and damping.
     ws: scratch memory.
-    Raises: SolverError where the cost at the start is not finite.
-    """
+    Raises: SolverError where the cost at the start is not finite."""
     q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # faster than np.clip
     evaluation, info = _solved(q, (tree, mesh, *cues, priors), settings, ws)
     if info[2] == 0:

@@ -61,10 +61,9 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
 
 
 def in_background(work: Callable[[], _Result]) -> Callable[[], _Result]:
-    """Start a call in parallel to the caller's own work, where a thread is free.
+    """Start work() in another thread where one is free, in parallel to the work of the caller.
 
-    Returns: function that waits for the result, or computes it where no thread has started.
-    """
+    Returns: function that waits for the result, or computes it where no thread has started."""
     threads = default_threads()
     if threads < 2:
         return work

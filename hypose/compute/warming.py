@@ -201,7 +201,7 @@ TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 def warm_up(*names: str, load: bool = True, progress: Callable[[int, int], None] | None = None) -> float:
     """Compile groups of kernels, in one process per core where that is worth it; return the seconds that it took.
 
-    names: of KERNEL_GROUPS; none: TRACKING_KERNELS.
+    names: names of KERNEL_GROUPS; none: TRACKING_KERNELS.
     load: whether to load kernels that are in the cache into this process too; else they are loaded at their first call.
     progress: called with how many of the groups that have to be compiled are done, when there are any.
 
@@ -289,9 +289,9 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
 
 
 def run_for_another() -> None:
-    """Compile the groups on the command line (program of the other process), and end when the input ends, that is with
-    the process that started it.
-    """
+    """Compile the kernel groups named on the command line; main program of a process that `warm_up` starts.
+
+    The process ends when its standard input ends, which happens when the process that started it ends."""
 
     def watch() -> None:
         """End this process when its input ends."""

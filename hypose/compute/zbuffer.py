@@ -45,15 +45,15 @@ def project(p, vertices, chosen, seen, size, box):
 
 @kernel
 def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
-    """Draw the chosen faces (N,) of faces (F, 3), where they lie in front of the present content.
+    """Draw some faces into a z-buffer: a pixel changes where the face lies in front of its present content.
 
-    u, v: (V,) px.
-    inverse: (V,) 1/m, 0: faces with this corner are omitted.
+    faces, chosen: (F, 3) triangles, and (N,) indices of those to draw.
+    u, v: (V,) positions of the vertices in the picture, px.
+    inverse: (V,) inverse depth of the vertices, 1/m; faces with a corner of value 0 are omitted.
     cull: whether to omit faces seen from inside (the corners of the others run clockwise in a picture whose y points
         down).
     nearest: (h, w) f4, gets the inverse depth.
-    face: (h, w) i4, gets the numbers of the faces, or None.
-    """
+    face: (h, w) i4, gets the numbers of the faces, or None."""
     h, w = nearest.shape
     for n in range(chosen.shape[0]):
         f = chosen[n]
@@ -133,10 +133,12 @@ def draw_faces(
     *,
     cull: bool = False,
 ) -> None:
-    """Draw all faces (F, 3) of vertices at uv (V, 2) px, with inverse depths (V,) 1/m, into nearest (h, w), in place.
+    """Draw all faces (F, 3) of vertices at uv (V, 2) px, with inverse depths (V,) 1/m, into nearest (h, w), in
+    place.
 
-    nearest, face, cull: as in `draw_nearest`.
-    """
+    nearest: (h, w) float32 inverse depth, 1/m, which is changed.
+    face: (h, w) int32 that gets the numbers of the visible faces; None: not wanted.
+    cull: whether to omit faces seen from inside."""
     u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
     f = plain(faces, np.int32)
     draw_nearest(u, v, inverse, f, np.arange(len(f)), cull, nearest, face)

@@ -31,9 +31,8 @@ class PersonTrack:
     first: index of the first frame, from 0.
     points: (T, C, K, 3 or more) key points in each view, px and confidence as they were given, with left and right
         corrected; confidence 0 where the person is not seen. Further columns are as they were given.
-    world: (T, K, 3) where the rays meet, m; NaN where fewer than two do.
-    candidates: (T, C) number of the view's candidate, -1 for none.
-    """
+    world: (T, K, 3) triangulated key points, m; NaN where fewer than two rays meet.
+    candidates: (T, C) index of the person's detection among the detections of the view in the frame; -1 for none."""
 
     first: int
     points: Array
@@ -50,7 +49,7 @@ class PersonTrack:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Whether each view sees the person (T, C)."""
+        """Whether each view sees the person in each frame, (T, C)."""
         return (self.points[..., 2] > 0).sum(-1) >= _LEAST_POINTS
 
     @property
@@ -83,9 +82,8 @@ class PersonTrack:
 def choose(tracks: Sequence[PersonTrack]) -> int | None:
     """Choose the person that the recording is about; return the index, None where there is no person.
 
-    It is the one seen in most frames and views by points whose rays meet; of those with nearly as many, the largest in
-    the pictures.
-    """
+    The person seen in most frames and views by points whose rays meet is chosen; of several who are seen nearly as
+    often, the one who is largest in the pictures."""
     if not tracks:
         return None
     seen = np.array([t.seen.sum() * t.agreed for t in tracks])
@@ -96,7 +94,9 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
     """Join tracks that are one person before and after a gap; those seen most come first.
 
-    tracks: of the whole clip; names: of the K key points; frame_rate: Hz.
+    tracks: all tracks of the clip.
+    names: names of the K key points.
+    frame_rate: frames per second, Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
     person fits.
     """
@@ -136,7 +136,7 @@ def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> b
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
     """Compute the median lengths (B,), m, of the limbs' and the trunk's bones; NaN where seen in fewer than three.
 
-    names: of the K key points of the track.
+    names: names of the K key points of the track.
     """
     column = {n: i for i, n in enumerate(names)}
     out = np.full(len(_BONES) - 1, np.nan)
@@ -170,7 +170,6 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
     return PersonTrack(a.first, points, world, candidates)
 
 
-_MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
@@ -203,18 +202,18 @@ class AssociationSettings:
     near: m, largest distance of a ray that counts for a point.
     complete: m, largest distance at which a single free point completes a person.
     limit: m; larger distances count as this.
-    merge: m, two people nearer than this are one; apart: m, no new person starts nearer than this to another.
+    merge: m, two people nearer than this are one.
+    apart: m, no new person starts nearer than this to another.
     patience: s without two views after which a track ends.
     stale: s for which a point that is not seen is predicted with the others.
     trial: s for which a person seen by two views must be tracked to be accepted; three views are accepted at once.
-    exchanged: largest share of the distance that remains when left and right are exchanged; exchanged_m: m that the
-        exchange must gain.
+    exchanged: largest share of the distance that remains when left and right are exchanged.
+    exchanged_m: m that the exchange must gain.
     plausible: least share of bones with a body's lengths.
-    stretched: the end of a limb is not accepted when only two views show it and its bone is longer than this many times
-        its usual length.
     walk, restart: m/s and m, largest distance of a person after a gap.
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
-    motion: share of the last step of a point that predicts the next one; jump: m, a longer step predicts none.
+    motion: share of the last step of a point that predicts the next one.
+    jump: m, a longer step predicts none.
     objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
     """
 
@@ -231,7 +230,6 @@ class AssociationSettings:
     exchanged: float = 0.6
     exchanged_m: float = 0.03
     plausible: float = 0.7
-    stretched: float = 1.35
     walk: float = 2.5
     restart: float = 0.5
     alike: float = 0.12
@@ -248,11 +246,11 @@ def people_of(
 ) -> list[PersonTrack]:
     """Find the people of a clip; those seen most come first.
 
-    frame_rate: Hz.
+    frame_rate: frames per second, Hz.
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
         pixels of the pinhole `rig`, confidence 0 where missing; None where there is none. Further columns are kept. A
         candidate with fewer than four points is a part that may complete a person.
-    names: of the K points.
+    names: names of the K points.
     There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
     """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
@@ -266,10 +264,11 @@ def people_of(
 class _Followed:
     """State of a person who is being tracked.
 
-    points: (K, 3) last known points, m; motion: (K, 3) per frame; stale: (K,) frames for which each has not been seen.
+    points: (K, 3) last known points, m.
+    motion: (K, 3) motion of each point, m per frame.
+    stale: (K,) number of frames for which each point has not been seen.
     exchanged: (C, G + 1) groups of points whose sides were exchanged in a view of the last frame.
     votes: (G + 1,) how often views named the sides of a group of points as they are, less how often the other way.
-    length: (B,) bones of the limbs, m; measured: (B,) how often each was measured.
     """
 
     first: int
@@ -278,8 +277,6 @@ class _Followed:
     stale: NDArray[np.int64]
     exchanged: NDArray[np.bool_]
     votes: NDArray[np.int64]
-    length: Array
-    measured: NDArray[np.int64]
     needed: int
     hits: int = 0
     missed: int = 0
@@ -291,7 +288,9 @@ class _Followed:
 class Association:
     """Association of detections with people, frame by frame: call `step` for every frame, then `people`.
 
-    names: of the K key points; rig: pinhole cameras; frame_rate: Hz.
+    names: names of the K key points.
+    rig: pinhole cameras.
+    frame_rate: frames per second, Hz.
     columns: number of columns of all candidates, at least 3 (u px, v px, confidence).
     """
 
@@ -314,9 +313,6 @@ class Association:
                 if part in parts and self._twin[i] != i:
                     self._group[i] = g
         self._bones = [(column[a], column[b], lo, hi) for a, b, lo, hi in _BONES if a in column and b in column]
-        ends = ("elbow", "wrist", "knee", "ankle")
-        limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
-        self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
         o = self.settings
         self._patience = max(3, round(o.patience * frame_rate))
         self._stale = max(2, round(o.stale * frame_rate))
@@ -326,10 +322,9 @@ class Association:
         self._ended: list[_Followed] = []
 
     def step(self, views: Sequence[Array | None], /) -> None:
-        """Process one frame: per view the candidates (P, K, columns), None where there is none.
+        """Process one frame.
 
-        views: C arrays, one per camera of the rig.
-        """
+        views: per camera of the rig the candidates (P, K, columns) of the frame; None where there are none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
@@ -346,13 +341,13 @@ class Association:
         if self._alive:
             self._complete(seen, found, free, free & ~is_person, which, expected)
             seen = self._right_sides(seen, expected)
-            world, used = meet(self._views, seen, self.settings.near, expected)
-            self._update(seen, self._of_own_size(world, used), which)
+            world, _ = meet(self._views, seen, self.settings.near, expected)
+            self._update(seen, world, which)
         self._end()
         self._frame += 1
 
     def people(self) -> list[PersonTrack]:
-        """List all people up to now, those seen in most frames and views first."""
+        """List the tracks of all people found so far; the people seen in most frames and views come first."""
         out = []
         for t in [*self._ended, *self._alive]:
             kept = len(t.seen) - t.missed
@@ -416,7 +411,8 @@ class Association:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
         exchanged.
 
-        expected: (N, K, 3) predicted points of the people, m; found: (C, P, K, 3) px and confidence.
+        expected: (N, K, 3) predicted points of the people, m.
+        found: (C, P, K, 3) px and confidence.
         Returns: two arrays; NaN where one of the two points is unknown.
         """
         limit = self.settings.limit
@@ -464,7 +460,8 @@ class Association:
     def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
         """Start new people from the remaining candidates; return (view, candidate) pairs of each.
 
-        found: (C, P, K, 3) candidates of each view; is_person: (C, P) free candidates with enough points for a person.
+        found: (C, P, K, 3) candidates of each view.
+        is_person: (C, P) free candidates with enough points for a person.
         free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
         The new people are added to the tracked ones.
         """
@@ -491,8 +488,6 @@ class Association:
                 np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
                 np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
                 np.zeros(len(_GROUPS) + 1, dtype=np.int64),
-                np.zeros(len(self._limbs)),
-                np.zeros(len(self._limbs), dtype=np.int64),
                 needed,
             )
             self._alive.append(t)
@@ -523,9 +518,11 @@ class Association:
         """Fill missing points in `seen` with free detections near their expected places.
 
         seen: (C, N, K, 3) points of each person, changed in place; the confidence of a filled point is halved.
-        found: (C, P, K, 3) candidates; free: (C, P) those not assigned; parts: (C, P) free ones that are too small for
-            a person.
-        which: (C, N) candidate of each person, -1 for none; expected: (N, K, 3) predicted points, m.
+        found: (C, P, K, 3) candidates.
+        free: (C, P) those not assigned.
+        parts: (C, P) free ones that are too small for a person.
+        which: (C, N) candidate of each person, -1 for none.
+        expected: (N, K, 3) predicted points, m.
         A free detection with enough points for a person only completes a person whom that view already sees, because it
         was then detected in two pieces.
         """
@@ -542,34 +539,12 @@ class Association:
         seen[c, n, k] = left[c, best[c, n, k], k]
         seen[c, n, k, 2] *= 0.5
 
-    def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
-        """Remove ends of limbs (NaN) that only two rays show and that lie further away than the person's bone is long.
-
-        world: (N, K, 3) m, NaN where unknown; returned with the removed points as NaN.
-        used: (C, N, K) rays used per point. The other points update the lengths of the bones.
-        """
-        if not len(self._limbs):
-            return world
-        a, b = self._limbs.T
-        length = np.sqrt(((world[:, a] - world[:, b]) ** 2).sum(-1))
-        rays = used.sum(0)
-        out = world.copy()
-        for n, t in enumerate(self._alive):
-            known = np.isfinite(length[n])
-            wrong = known & (t.measured >= _MEASURED) & (length[n] > self.settings.stretched * t.length)
-            wrong &= rays[n, b] <= 2
-            out[n, b[wrong]] = np.nan
-            fine = known & ~wrong & (rays[n, a] > 2) & (rays[n, b] > 2)
-            share = 1.0 / np.minimum(t.measured[fine] + 1, _REMEMBERED)
-            t.length[fine] += share * (length[n, fine] - t.length[fine])
-            t.measured[fine] += 1
-        return out
-
     def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
         """Update the points, the motion and the history of all tracked people after a frame.
 
-        seen: (C, N, K, 3) px and confidence; world: (N, K, 3) m, NaN where unknown; which: (C, N) candidate, -1 for
-            none.
+        seen: (C, N, K, 3) px and confidence.
+        world: (N, K, 3) m, NaN where unknown.
+        which: (C, N) candidate, -1 for none.
         """
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
@@ -663,12 +638,12 @@ def object_points(mask: NDArray[np.uint8]) -> Array:
 
 
 def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> list[dict[int, str]]:
-    """Match the objects of all views to people; those seen in most views and frames come first.
+    """Match the objects of all views to people; people seen in most views and frames come first.
 
-    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`); NaN
+    points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`);
+        NaN
         where the object is missing.
-    Returns: people as {view: object}; an object that no other view shows is a person of its own.
-    """
+    Returns: people as {view: object}; an object that no other view shows is a person of its own."""
     at = [(c, name) for c, view in enumerate(points) for name in view]
     if not at:
         return []

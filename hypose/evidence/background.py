@@ -107,8 +107,10 @@ def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> Backg
 
 
 def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Compute the factors (3,) that scale the channels of `mean` (h, w, 3) to the reference's brightness: see
-    `match_gain`."""
+    """Compute the factors (3,) that scale the channels of an image `mean` (h, w, 3) to the brightness of a reference
+    image.
+
+    The factor is the median ratio over the pixels where both images roughly agree; 1 where hardly any pixels do."""
     # ten times as fast as numpy along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)
@@ -158,7 +160,9 @@ def _masked_median(
 def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None) -> BackgroundModel:
     """Build the model from the frames in which each pixel is free of the person.
 
-    stack: (N, h, w, 3) frames; covered: (N, h, w) true where the person is or may be; plate: model of photos, or None.
+    stack: (N, h, w, 3) frames.
+    covered: (N, h, w) true where the person is or may be.
+    plate: model of photos, or None.
     Returns: the model; pixels that are hardly ever free come from the photos, without photos they are not valid.
     """
     median, sd, count = _masked_median(stack, ~covered)
@@ -205,7 +209,9 @@ def _cure_ghosts(
 ) -> BackgroundModel:
     """Replace a model by the recording's median where a static thing contradicts it (see from_recording).
 
-    stack: (N, h, w, 3) frames; median, sd: (h, w, 3) of them; plate: model of photos, in the brightness of the median.
+    stack: (N, h, w, 3) frames.
+    median, sd: (h, w, 3) median and standard deviation of the frames.
+    plate: model of photos, in the brightness of the median.
     """
     stable = (_deviation(stack, median) < _STATIC).mean(0) > _STATIC_SHARE
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
@@ -270,7 +276,8 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
 def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Compute the largest channel difference (N, h, w) from the median picture.
 
-    stack: (N, h, w, 3) frames; median: (h, w, 3) grey levels.
+    stack: (N, h, w, 3) frames.
+    median: (h, w, 3) grey levels.
     """
     reference = np.rint(median).astype(np.uint8)
     out = np.empty(stack.shape[:3], np.uint8)

@@ -28,7 +28,9 @@ UNNAMED = -1
 def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
     """Compute how well each camera sees each surface point.
 
-    hull: whose surface points are used; rig: pinhole cameras; usable: (C,) views that count (default: all).
+    hull: whose surface points are used.
+    rig: pinhole cameras.
+    usable: (C,) views that count (default: all).
     A point is seen where no other surface point lies in front of it (z-buffer with cells of two voxels, so that the
     points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
     normal n_q.
@@ -64,13 +66,13 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
 
 
 def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
-    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times detector.
+    """Compute the probability (S,) that each surface point shows a part: sum over views of visibility times
+    detector.
 
-    hull: whose surface points are used.
+    hull: visual hull with S surface points.
     seen: (C, S) from `visibility`.
     maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
-    Source: Alcoverro 2014, eq. 2.17.
-    """
+    Source: Alcoverro 2014, eq. 2.17."""
     out = np.zeros(len(hull.surface_points))
     for c, camera in enumerate(rig):
         some = np.flatnonzero(seen[c] > 0)
@@ -83,13 +85,12 @@ def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig:
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Settings of the clusters of likely surface points; sizes at a stature of 1.75 m.
+    """Limits of the clusters of surface points that likely show a head or hand; sizes hold for a stature of 1.75 m.
 
     threshold: least probability of a surface point (Gamma).
     tolerance: m, largest distance of neighbours in a cluster.
     low, high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the
-        neck up to 0.15).
-    """
+        neck up to 0.15)."""
 
     threshold: float = 0.5
     tolerance: float = 0.045
@@ -103,7 +104,8 @@ def likely_clusters(
     """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
 
     hull: whose surface points are used.
-    settings: limits of a cluster; stature: of the person, m; sizes grow in proportion to it.
+    settings: limits of a cluster.
+    stature: height of the person, m; sizes grow in proportion to it.
     probability: (S,) of the surface points.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
     Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
@@ -132,7 +134,9 @@ def likely_clusters(
 def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArray[np.int64]:
     """Assign detected points to body ends: as many as possible within the limits, then with the least total distance.
 
-    points: (E, 3) m; ends: (I, 3) end effectors of the previous pose, m; limits: (I,) m (Upsilon).
+    points: (E, 3) m.
+    ends: (I, 3) end effectors of the previous pose, m.
+    limits: (I,) m (Upsilon).
     Returns: (E,) index of the end of each point, UNNAMED for none; each end gets at most one point.
     Source: Alcoverro 2014, eq. 2.19. Deviations: the printed equation has the least mean distance of an assignment,
         which a single close pair would minimise; this follows the text instead. It is solved exactly instead of
@@ -167,7 +171,9 @@ def detect_ends(
 ) -> tuple[Detections, Array]:
     """Detect the unnamed body ends of one frame from a detector's maps, on the surface of the silhouettes' hull.
 
-    stature: of the person, m; voxel: edge length of the hull, m; settings: limits of a cluster.
+    stature: height of the person, m.
+    voxel: edge length of the hull, m.
+    settings: limits of a cluster.
     maps: (C, h, w) probabilities.
     centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
         of it.
@@ -195,8 +201,9 @@ def end_colors(
 ) -> ColorTable:
     """Learn the colours of a person's head and hands against the rest, from one frame with a known pose (D,).
 
-    silhouettes: masks of the frame; images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed
-        body shows a part at least a pixel inside the mask.
+    silhouettes: masks of the frame.
+    images: (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
+        inside the mask.
     prior: share of head and hands among the pixels.
     Returns: table of probabilities, see `skin.ColorTable`.
     """

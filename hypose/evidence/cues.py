@@ -66,7 +66,7 @@ _REMEMBERED_POSES, _DIGITS = 12, 12
 
 
 class PoseMemory(Generic[_Found]):
-    """Cache of results for single poses of a body."""
+    """Cache of results that were computed for single poses of a body."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[Body, bytes], _Found] = {}
@@ -83,7 +83,8 @@ class PoseMemory(Generic[_Found]):
     def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
         """Store a result and return it.
 
-        pose: (D,); found: its result.
+        pose: (D,).
+        found: its result.
         """
         self._found[self._key(body, pose)] = found
         return found
@@ -112,24 +113,23 @@ class PoseMemory(Generic[_Found]):
 class SilhouetteEvidence(Evidence):
     """Silhouettes of a frame for searches and solves.
 
-    masks: prepared for the search.
-    """
+    masks: masks of the frame, prepared for the search."""
 
     masks: PreparedMasks
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     _overlaps: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
-        """Compute the silhouette energies (N,) of poses (N, D), eq. 2.8; limb: what alone differs between the poses."""
+        """Compute the silhouette energies (N,) of poses (N, D), eq. 2.8; limb: the only part of the body that
+        differs between the poses; None: any part may differ."""
         use = self.masks.usable
         return (self.counts(body, poses, limb)[:, use, 0] / self.masks.norm[use]).sum(1)
 
     def counts(self, body: Body, poses: Array, limb: Limb | None = None) -> NDArray[np.int64]:
         """Count the pixels of poses (N, D) against the masks of the views.
 
-        limb: what alone differs between the poses.
-        Returns: (N, C, 3) pixels of XOR, of the drawn body, and of the intersection.
-        """
+        limb: the only part of the body that differs between the poses; None: any part may differ.
+        Returns: (N, C, 3) pixels of XOR, of the drawn body, and of the intersection."""
         if not len(self.masks.usable):
             return np.zeros((len(poses), 0, 3), np.int64)
         given = body.skeleton.tree, body.coarse.arrays, self.masks
@@ -142,11 +142,11 @@ class SilhouetteEvidence(Evidence):
         return count(poses) if limb is not None else self._counts.all(body, poses, count)
 
     def overlap(self, body: Body, pose: Array) -> Array:
-        """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels do
+        """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels
+        do
         not count.
 
-        Returns: NaN for views without a usable mask, or in which others hide nearly all of the body.
-        """
+        Returns: (C,) overlap; NaN for views without a usable mask, or in which others hide nearly all of the body."""
         known = self._overlaps.get(body, pose)
         if known is not None:
             return known
@@ -160,16 +160,15 @@ class SilhouetteEvidence(Evidence):
 
 @dataclass(frozen=True)
 class KeypointEvidence(Evidence):
-    """Key points of a frame; a search does not use them.
+    """Key points of a frame, prepared for solves; a search does not use them.
 
-    term: the key points with their full weight, for comparing solutions; solves may use smaller weights.
-    """
+    term: the key points with their full weight, for comparing solutions; solves may use smaller weights."""
 
     term: KeypointTerm
 
     def cost(self, body: Body, poses: Array) -> Array:
-        """Compute the robust cost (N,) of poses (N, D), as the solver does; a difference of 1 is 1 in
-        log-likelihood."""
+        """Compute the robust cost (N,) of the key points at poses (N, D), as the solver does; a cost difference of 1
+        is a difference of 1 in log-likelihood."""
         term = self.term
         x = body.skeleton.points(term.joint, term.offset, poses)
         h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
@@ -185,8 +184,7 @@ class KeypointEvidence(Evidence):
 class DepthEvidence(Evidence):
     """Depth of a frame for searches and solves.
 
-    maps: prepared for the search; the maps of the sensors that see the person only.
-    """
+    maps: depth maps of the sensors that see the person, prepared for the search."""
 
     maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -217,14 +215,16 @@ class DepthEvidence(Evidence):
         outlines: Callable[[float, float], Array],
         standing: StandingDepth | None = None,
     ) -> Array:
-        """Compute the energies (N,) of poses (N, D) that differ in one limb, in full only for the most promising ones.
+        """Compute the energies (N,) of poses (N, D) that differ in one limb, in full only for the most promising
+        ones.
 
         moving: (J,) the joints that differ; all else is as in the last pose. The first pose is the current limb.
-        outlines: function (slack, more) that gives the energies (N,) without depth; they may be infinite where they are
+        outlines: function (slack, more) that gives the energies (N,) without depth; they may be infinite where they
+            are
             certainly above `slack` times that of the first pose plus `more`.
         standing: the parts that do not move, where they are drawn already.
-        Returns: infinite for poses that were not compared in full: only the best of a rough comparison are.
-        """
+        Returns: (N,) energies; infinite for poses that were not compared in full, because only the best ones of a
+            rough comparison are."""
         seen = self.maps
         standing = standing or self.standing(body, poses[-1], moving)
 
@@ -244,13 +244,14 @@ class DepthEvidence(Evidence):
         return out
 
     def standing(self, body: Body, pose: Array, moving: NDArray[np.bool_]) -> StandingDepth:
-        """Draw a body at a pose (D,), as depth cameras see it, without the parts that the joints `moving` (J,) move."""
+        """Draw a body at a pose (D,) into depth maps, without the parts that the joints `moving` (J,) move."""
         return standing_depth(pose, *self._about(body), moving)
 
     def shows_arm(self, body: Body, standing: StandingDepth, shoulder: int) -> bool:
         """Decide whether depth cameras show an arm at its place in a pose, and nothing unexplained in its reach.
 
-        standing: the rest of the body, drawn; shoulder: joint of the arm.
+        standing: the rest of the body, drawn.
+        shoulder: joint of the arm.
         """
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps
@@ -260,10 +261,10 @@ class DepthEvidence(Evidence):
 
 
 def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenDepth]:
-    """Reduce depth maps to the pixels of the person, cut to its box, so small that it is still `tall` px.
+    """Reduce depth maps to the pixels of the person, cut to the person's box, and shrink them so far that the person
+    is still `tall` px tall.
 
-    Returns: (C,) sensors that see the person; the reduced maps.
-    """
+    Returns: (C,) sensors that see the person; the reduced maps."""
     views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
     maps, projections, counts = [], [], []
     used = np.flatnonzero(views)
@@ -288,7 +289,10 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
 
 
 def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
-    """Prepare masks for tracking; an empty list where no view has an outline. weight: of a contour row."""
+    """Prepare the masks of a frame for tracking.
+
+    Returns: list of one Evidence; an empty list where no view has an outline.
+     weight: weight of a contour row."""
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
@@ -298,7 +302,9 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
 
 
 def depth_evidence(depth: Depth) -> list[Evidence]:
-    """Prepare depth maps for tracking; an empty list where none shows the person."""
+    """Prepare depth maps for tracking.
+
+    Returns: list of one Evidence; an empty list where no map shows the person."""
     term = depth_term(depth)
     if term is None:
         return []
@@ -307,24 +313,29 @@ def depth_evidence(depth: Depth) -> list[Evidence]:
 
 
 def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
-    """Prepare key points for tracking; weaker: the term with the weights of solves."""
+    """Prepare key points for tracking.
+
+    term: the key points with their full weight, for comparing solutions.
+    weaker: the same key points with the smaller weights that solves use."""
     return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
-    """Build a frame's terms on the body's surface, for fits of its shape: outlines, and depth where there is any."""
+    """Build the solver terms of a frame that concern the body's surface, for fits of its shape: outlines, and depth
+    where there is any."""
     outlines: list[Term] = [contour_term(masks) for masks in frame.of(Silhouettes)]
     return outlines + [term for depth in frame.of(Depth) for one in depth_evidence(depth) for term in one.terms]
 
 
 class OwnEvidence(Protocol):
-    """Interface of evidence that the product does not have, for example a sensor, a marker or a rule of the user's own.
+    """Interface of evidence that a user adds to the product, for example a sensor, a marker or a rule.
 
-    Both methods get the frame, whose index and time identify the measurement. Threads may call them at the same time.
-    """
+    Both methods get the frame, whose index and time identify the measurement. Threads may call them at the same
+    time."""
 
     def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:
-        """Return places of body points, or any residuals of them, for the solver; None when the frame has none."""
+        """Return the measurement of a frame for the solver: positions of body points (PointTerm), or residuals of
+        body points (RowTerm); None where the frame has no measurement."""
         ...
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
@@ -348,9 +359,8 @@ class OwnCue(Evidence):
 def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
     """Prepare the user's own sources of evidence in a frame, for a body.
 
-    sources: each is asked for its rows once.
-    Returns: one Evidence per source, which has no terms where the source has no rows in this frame.
-    """
+    sources: user's objects; `rows` of each is called once.
+    Returns: one Evidence per source, which has no terms where the source has no rows in this frame."""
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

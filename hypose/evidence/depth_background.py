@@ -91,7 +91,7 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
     """Add things to the room that were not there when it was empty.
 
-    camera: of the maps, placed in the world.
+    camera: camera of the maps, placed in the world.
     maps: (h, w) m, spread over a recording. A thing keeps its place while a person moves elsewhere.
     Returns: the new room, and the visible area of the things, m^2; the same room and 0 where no person is ever far
         enough away to know this.
@@ -128,7 +128,9 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
 def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
     """Compute where on the floor (2,), m, the middle of some pixels (h, w) stands.
 
-    own: (h, w) the pixels; depth: (h, w) m, 0 = hole; camera: of the map, placed in the world.
+    own: (h, w) the pixels.
+    depth: (h, w) m, 0 = hole.
+    camera: camera of the map, placed in the world.
     """
     v, u = np.nonzero(own & (depth > 0))
     return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
@@ -137,7 +139,8 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
     """Segment the person in front of the empty room: the largest thing and the parts near it, with holes filled.
 
-    depth: (h, w) map, m; background: the empty room.
+    depth: (h, w) map, m.
+    background: the empty room.
     focal_px: focal length; with it, parts too far to the side are left out, because they are another person.
     Returns: (h, w) 0 or 1.
     Raises: InputError where map and room differ in size.
@@ -172,7 +175,8 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """Segment the piece most like a person among everything that stands on the floor (z = 0), split at jumps of depth.
 
-    depth: (h, w) m; camera: of the map, placed in the world (floor at z = 0).
+    depth: (h, w) m.
+    camera: camera of the map, placed in the world (floor at z = 0).
     room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
     Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
     """
@@ -187,7 +191,8 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to another.
 
-    camera: of the map; room: as for `person_on_floor`.
+    camera: camera of the map.
+    room: as for `person_on_floor`.
     Returns: (h, w) 0 or 1.
     """
     own = _standing(_without(depth, room), camera).people()
@@ -198,7 +203,7 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     """Find the parts of a recording that stand still and are not like a person: walls, small things, things as wide as
     a box.
 
-    camera: of the maps, placed in the world (floor at z = 0).
+    camera: camera of the maps, placed in the world (floor at z = 0).
     maps: (h, w) m, spread over the recording.
     Returns: (h, w) their distance, m, 0 elsewhere. A person who stands still the whole time is not included; walls are,
         also where a person passes in front of them.
@@ -227,7 +232,8 @@ def _tolerance(depth: DepthMap) -> DepthMap:
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
     """Set the pixels of a map to 0 that are known to be of the room.
 
-    depth: (h, w) m; room: (h, w) distance of the room, m, 0 = unknown; None: the map is returned as it is.
+    depth: (h, w) m.
+    room: (h, w) distance of the room, m, 0 = unknown; None: the map is returned as it is.
     """
     if room is None:
         return depth
@@ -238,7 +244,9 @@ def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
 class _Piece:
     """One connected piece of a depth map.
 
-    middle: (2,) on the floor, m; wide: width on the floor, m; top: height of its top, m.
+    middle: (2,) on the floor, m.
+    wide: width on the floor, m.
+    top: height of its top, m.
     head: mean width of its uppermost part, m.
     like: likeness to a person, 0 where it has another size.
     """
@@ -272,7 +280,8 @@ class _Standing:
     def with_limbs(self, people: Sequence[int], among: Mapping[int, _Piece]) -> Mask:
         """Segment these pieces (h, w), and those among others that may be their limbs in front of or behind the trunk.
 
-        people: numbers of the pieces; among: pieces that may be limbs, by their numbers.
+        people: numbers of the pieces.
+        among: pieces that may be limbs, by their numbers.
         Returns: (h, w) 0 or 1.
         """
         middles = [self.pieces[k].middle for k in people]
@@ -288,7 +297,7 @@ class _Standing:
 def _standing(depth: DepthMap, camera: Camera) -> _Standing:
     """Split everything on the floor of a depth map (h, w), m, into pieces, and judge how like a person each is.
 
-    camera: of the map, placed in the world (floor at z = 0).
+    camera: camera of the map, placed in the world (floor at z = 0).
     """
     v, u = np.indices(depth.shape)
     world = in_world(camera, back_projected(camera, u, v, depth))
@@ -318,7 +327,7 @@ def behind_things(
     not.
 
     depth: maps of the same views; None: the silhouettes are returned as they are.
-    rooms: of each view; None: unknown.
+    rooms: rooms of each view; None: unknown.
     Returns: the silhouettes with ignored pixels; the same silhouettes where nothing stands in front.
     """
     if depth is None:
@@ -371,7 +380,9 @@ def _calm(mask: Mask) -> Mask:
 def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
     """Keep the largest thing of a mask and the parts near it in space, with holes filled.
 
-    before: (h, w) 0 or 1; depth: (h, w) m; focal_px: focal length, None: parts at any distance to the side are kept.
+    before: (h, w) 0 or 1.
+    depth: (h, w) m.
+    focal_px: focal length, None: parts at any distance to the side are kept.
     Returns: (h, w) 0 or 1; all 0 where the mask is empty or none of its pixels is measured.
     solid: (h, w) where the sensor would see something behind, so that a hole belongs to the person.
     """

@@ -47,7 +47,9 @@ class DepthNoise:
 class SurfacePoints:
     """Measured points on the person's surface in the world.
 
-    points: (M, 3) m; normals: (M, 3) outward unit vectors; sd: (M,) along the ray, m.
+    points: (M, 3) m.
+    normals: (M, 3) outward unit vectors.
+    sd: (M,) along the ray, m.
     first: (C + 1,) points first[c] to first[c + 1] are those of view c.
     """
 
@@ -61,13 +63,13 @@ class SurfacePoints:
 class Depth:
     """Depth maps of one instant, one per view of a rig.
 
-    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with 0,
+    maps: (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; views of different size are padded with
+        0,
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
-    noise: of the sensors.
-    blank: (C,) depth cameras whose whole map is a hole; None: none.
-    """
+    noise: noise of the sensors.
+    blank: (C,) True for depth cameras whose whole map is a hole; None: there are none."""
 
     maps: NDArray[np.float32]
     person: NDArray[np.uint8]
@@ -77,7 +79,7 @@ class Depth:
     blank: NDArray[np.bool_] | None = None
 
     def unseen(self) -> Depth:
-        """Copy the maps with no usable view."""
+        """Copy the maps and mark all views as not usable."""
         return replace(self, usable=np.zeros_like(self.usable))
 
     @cached_property
@@ -132,7 +134,8 @@ def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> 
     """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in its
     frame.
 
-    u, v: pixel coordinates; z: depth; arrays of one shape.
+    u, v: pixel coordinates.
+    z: depth; arrays of one shape.
     """
     u, v, z = (np.asarray(a, dtype=np.float64) for a in (u, v, z))
     return np.stack([(u - camera.K[0, 2]) / camera.K[0, 0] * z, (v - camera.K[1, 2]) / camera.K[1, 1] * z, z], -1)
@@ -145,11 +148,11 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
 
 
 def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark where these lie on one surface.
+    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark the pixels whose 3 x 3 neighbourhood lies on
+    one surface.
 
     jump_m: difference of depth from which neighbours are different surfaces, m.
-    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
-    """
+    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump."""
     kernel = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
     sound = (low > 0) & (high - low < jump_m)

@@ -28,12 +28,12 @@ _THICK_M, _VOXEL_M = 0.16, 0.03
 
 
 def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
-    """Compute the space that the person may fill, instead of a visual hull: the seen surface and _THICK_M behind it.
+    """Compute the space that the person may fill from depth maps: the seen surface and the space up to _THICK_M (m)
+    behind it. It replaces the visual hull of masks.
 
     depth: maps in which the person is marked.
     bounds: (2, 3) m, limits the space.
-    Raises: EvidenceError where no sensor shows a person.
-    """
+    Raises: EvidenceError where no sensor shows a person."""
     found, rays = [], []
     for c in np.flatnonzero(depth.usable):
         w, h = depth.rig.sizes[c]
@@ -86,7 +86,7 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
     """Find the people in a frame who are not known yet, the largest first: by depth where there is depth, else by the
     hull.
 
-    floor: its height, m.
+    floor: height of the floor, m.
     """
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
@@ -99,7 +99,9 @@ def people_in_depth(
     """Find the people in depth maps who are not known yet, the largest first.
 
     Each pixel belongs to the nearest axis. Values between both sides of a depth edge are left out.
-    known: people who are left out; floor: its height, m; most: largest number of people.
+    known: people who are left out.
+    floor: height of the floor, m.
+    most: largest number of people.
     """
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
@@ -147,8 +149,12 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
 
 
 def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
-    """Extract the evidence for one person from a frame of several people; own, others, anywhere: as for
-    `own_silhouettes`."""
+    """Extract the evidence for one person from a frame of several people; frame: silhouettes, depth or both, showing
+    several people.
+    own: shape where the person is expected.
+    others: shapes of all other people.
+    anywhere: the person was lost and may be anywhere that no other person covers.
+    Returns: the frame with the evidence of this person alone."""
     if frame.silhouettes is None:
         return frame
     if frame.depth is None:
@@ -164,7 +170,8 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
 def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
     """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,).
 
-    of_depth: usable in the views of depth cameras; of_colour: usable in those where `colour` is true.
+    of_depth: usable in the views of depth cameras.
+    of_colour: usable in those where `colour` is true.
     """
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -187,9 +194,10 @@ def own_depth(
 ) -> tuple[Silhouettes, Depth]:
     """Extract the depth and the silhouettes of one person from maps that show several people.
 
-    own, others, anywhere: as for `own_silhouettes`.
-    Returns: silhouettes and depth of the person; views of colour cameras are not usable in them.
-    """
+    own: shape where the person is expected.
+    others: shapes of all other people.
+    anywhere: the person was lost and may be anywhere that no other person covers.
+    Returns: silhouettes and depth of the person; views of colour cameras are marked as not usable."""
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)
@@ -228,7 +236,7 @@ def own_depth(
 def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
     """Compute the distance (N,), m, of measured pixels (N, 3), at points (N, 3), m, from a person; inf where it is far.
 
-    shape: of the person; the pixels of a shape that is given as masks are _CLUSTER_M away, all others inf.
+    shape: shape of the person; the pixels of a shape that is given as masks are _CLUSTER_M away, all others inf.
     """
     from scipy.spatial import KDTree  # takes long to import
 

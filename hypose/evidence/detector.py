@@ -16,32 +16,33 @@ class PoseDetector(Protocol):
 
     @property
     def keypoint_set(self) -> str:
-        """Name of its set of key points, one of `hypose.evidence.keypoints.KEYPOINT_SETS`."""
+        """Name of the detector's set of key points, one of `hypose.evidence.keypoints.KEYPOINT_SETS`."""
         ...
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Everything that determines its results, as JSON values: program, version, model, settings."""
+        """All values that determine the detector's results, as JSON values: program, version, model, settings."""
         ...
 
     @property
     def gives_masks(self) -> bool:
-        """Whether it finds masks as well; then several threads may call it at once."""
+        """Whether the detector finds masks as well as key points; then several threads may call it at once."""
         ...
 
     def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Sighting]:
         """Detect the people in a picture.
 
         image: (h, w, 3) BGR; pixel centres at integers.
-        number: of the picture in the video.
+        number: number of the picture in the video.
         before: expected places of the people of the previous picture.
-        The result depends on these alone, so that interrupted work can be resumed.
-        """
+        Returns: one item per person found; empty where there is none. It must depend on these arguments alone, so
+            that interrupted work can be resumed."""
         ...
 
 
 def openpose_document(people: ArrayLike) -> dict[str, Any]:
-    """Convert people (P, K, 3) to OpenPose's JSON document; people without a confident point are left out."""
+    """Convert people (P, K, 3), px and confidence, to OpenPose's JSON document; people without a confident point are
+    left out."""
     seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
     return {
         "version": 1.3,

@@ -74,14 +74,13 @@ class Flow:
 def optical_flow(
     previous: NDArray[np.uint8], current: NDArray[np.uint8], box: tuple[int, int, int, int] | None = None
 ) -> Flow:
-    """Compute the flow from the previous to the current grey picture (h, w) uint8.
+    """Compute the optical flow from the previous to the current grey picture (h, w) uint8.
 
     box: x0, x1, y0, y1 (half open; default: the whole picture).
     Raises: InputError where the pictures differ in size or are too small.
     Source: Sminchisescu & Triggs 2001, section 3.2: robust flow with an outlier map, from which smoothed motion
         boundaries are made. Deviation: DIS flow (Kroeger et al. 2016) in both directions, with the forward-backward
-        error as the outlier map, instead of Black & Anandan's flow.
-    """
+        error as the outlier map, instead of Black & Anandan's flow."""
     if previous.shape != current.shape or previous.ndim != 2:
         raise InputError(
             f"Flow needs two grey pictures of one size, got {previous.shape} and {current.shape}; check that the video "
@@ -117,7 +116,8 @@ def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArra
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:
     """Clip the box to the picture, and enlarge it to at least _LEAST_SIDE_PX px where possible.
 
-    box: y0, y1, x0, x1, half open; w, h: size of the picture, px.
+    box: y0, y1, x0, x1, half open.
+    w, h: size of the picture, px.
     """
     out: list[int] = []
     for low, high, size in ((box[0], box[1], w), (box[2], box[3], h)):

@@ -61,7 +61,7 @@ class Silhouettes:
     without"""
 
     def unseen(self) -> Silhouettes:
-        """Copy the masks with no usable view, where no person is expected."""
+        """Copy the masks, mark all views as not usable, and remove the person's expected place."""
         reasons = tuple(r or f"{n}: no person is expected" for n, r in zip(self.rig.names, self.reasons, strict=True))
         return replace(self, usable=np.zeros_like(self.usable), reasons=reasons, ignored=None, expected=None)
 
@@ -72,7 +72,7 @@ class Silhouettes:
 
     @cached_property
     def shared(self) -> NDArray[np.bool_]:
-        """Views (C,) in which pixels are ignored."""
+        """Whether each view (C,) has ignored pixels, because other people cover them."""
         if self.ignored is None:
             return np.zeros(len(self.masks), dtype=np.bool_)
         return np.array([view.any() for view in self.ignored], dtype=np.bool_)
@@ -109,7 +109,7 @@ class Keypoints:
     rig: CameraRig
 
     def unseen(self) -> Keypoints:
-        """Copy the key points with none seen."""
+        """Copy the key points and set all confidences to 0."""
         return replace(self, points=np.zeros_like(self.points))
 
 
@@ -117,7 +117,9 @@ class Keypoints:
 class Detections:
     """Body parts that a detector found; they drive kernels of the search.
 
-    points: (M, 3) in the world, m; score: (M,); part: (M,) index of the part.
+    points: (M, 3) in the world, m.
+    score: (M,) score of the detector.
+    part: (M,) index of the part.
     """
 
     points: Array
@@ -129,9 +131,12 @@ class Detections:
 class SensorReport:
     """Skeleton of one person at one instant, as a depth sensor reports it.
 
-    sensor: name; time: on the sensor's clock, s; arrival: on the receiving computer's clock, s, None: unknown.
+    sensor: name.
+    time: on the sensor's clock, s.
+    arrival: on the receiving computer's clock, s, None: unknown.
     person: the sensor's number of the person; None when it sees no person (the arrays are empty).
-    joint_names: (J,); positions: (J, 3) in the sensor's frame, m, NaN where missing.
+    joint_names: (J,).
+    positions: (J, 3) in the sensor's frame, m, NaN where missing.
     state: (J,) uint8: 0 not tracked, 1 inferred, 2 tracked.
     """
 
@@ -151,7 +156,8 @@ class SensorJoints:
     positions: (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration); NaN where missing.
     state: (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; 0 where the position is missing.
     times: (K,) on the common clock, s; NaN for a sensor without a skeleton.
-    joint_names: (J,); sensor_names: (K,).
+    joint_names: (J,).
+    sensor_names: (K,).
     depth: (K, h, w) float32 depth maps, m, 0 = hole, with their intrinsics (K, 3, 3); or None.
     joint_depth: (K, J) depth at the joint's pixel where no whole map is kept, m, 0 = hole; or None.
     The constructor makes all forms of "missing" (NaN, -9999, state 0) the same.
@@ -208,7 +214,8 @@ class Picture:
     """Picture of one camera.
 
     camera: pinhole camera of the same size.
-    image: (h, w, 3) uint8 BGR, undistorted; before: the previous picture, None at the first.
+    image: (h, w, 3) uint8 BGR, undistorted.
+    before: the previous picture, None at the first.
     mask: (h, w), not 0 on the person; None: unknown.
     """
 
@@ -222,10 +229,9 @@ class Picture:
 class Colours:
     """Colour codes of the pictures from which the masks were made (hypose.evidence.colours).
 
-    codes: (C, h, w) at the masks' pixels, known within the person's masks.
+    codes: (C, h, w) colour code of each pixel of the masks (`colour_codes`); defined inside the person's masks only.
     seen: (C,) False for a view without a picture.
-    edges: (C, 2, h, w) how fast colours change along rows and columns; None: not computed.
-    """
+    edges: (C, 2, h, w) how fast colours change along rows and columns; None: not computed."""
 
     codes: NDArray[np.uint16]
     seen: NDArray[np.bool_]
@@ -236,8 +242,9 @@ class Colours:
 class Frame:
     """Evidence of one instant; each piece is None when the frame has none of this kind.
 
-    time: s; index: frame number.
-    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `hypose.evidence.limb_maps.LimbMaps`.
+    time: s.
+    index: frame number.
+    more: pieces of further cues (`hypose.evidence.terms.Piece`), such as `examples/python/limb_maps.py`.
     """
 
     time: float
@@ -253,18 +260,18 @@ class Frame:
 
     @property
     def pieces(self) -> dict[str, Any]:
-        """Pieces of the frame by the names of their fields."""
+        """Pieces of evidence that the frame has, by the names of their fields."""
         return {f.name: piece for f in fields(self)[2:-1] if (piece := getattr(self, f.name)) is not None}
 
     def of(self, kind: type[_Piece]) -> list[_Piece]:
-        """List the pieces of a kind: one, or none."""
+        """List the piece of evidence of a class: one element, or none where the frame has no such piece."""
         return [piece for piece in (*self.pieces.values(), *self.more) if isinstance(piece, kind)]
 
     def the(self, kind: type[_Piece]) -> _Piece:
-        """Return the piece of a kind.
+        """Return the frame's piece of evidence of a class.
 
-        Raises: EvidenceError where the frame has none.
-        """
+        kind: class of the piece, for example Silhouettes.
+        Raises: EvidenceError where the frame has no such piece."""
         for piece in self.of(kind):
             return piece
         raise EvidenceError(
@@ -272,7 +279,7 @@ class Frame:
         )
 
     def unseen(self) -> Frame:
-        """Copy the frame for a person who is not there: no mask, key point or depth map is usable."""
+        """Copy the frame and mark its masks, key points and depth maps as not usable, for a person who is not there."""
         seen = ("silhouettes", "keypoints", "depth")
         return replace(self, **{name: piece.unseen() for name, piece in self.pieces.items() if name in seen})
 
@@ -283,8 +290,8 @@ class Frame:
 
     @property
     def kind(self) -> str:
-        """Kind of evidence by which a pose is judged where there are several: depth, else silhouettes, else
-        keypoints."""
+        """Name of the kind of evidence by which a pose is judged: "depth" where the frame has depth, else
+        "silhouettes", else "keypoints"."""
         return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
 
     @property
@@ -299,5 +306,6 @@ class Frame:
 
 
 def pieces_of(frames: Iterable[Frame], kind: type[_Piece]) -> list[_Piece]:
-    """List the pieces of a kind in several frames, in order."""
+    """List the pieces of evidence of one class in several frames, in the order of the frames; frames without one are
+    skipped."""
     return [piece for frame in frames for piece in frame.of(kind)]

@@ -40,7 +40,7 @@ class Hull:
 
     @property
     def volume(self) -> float:
-        """Volume, m^3."""
+        """Volume of the hull, m^3."""
         return float(self.occupancy.sum()) * self.voxel**3
 
     @property
@@ -50,7 +50,7 @@ class Hull:
 
     @property
     def height(self) -> float:
-        """Extent along world z, m."""
+        """Extent of the hull along world z, m."""
         return float(np.ptp(self.points[:, 2])) + self.voxel
 
     @cached_property
@@ -193,7 +193,10 @@ def _free_cells(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Decide for cubes (M,) whether this view surely shows no person there, and whether it possibly shows one.
 
-    camera: of the view; mask: (h, w) 0 or 1; sums: (h + 1, w + 1) its integral image; centres: (M, 3) of the cubes, m.
+    camera: of the view.
+    mask: (h, w) 0 or 1.
+    sums: (h + 1, w + 1) its integral image.
+    centres: (M, 3) of the cubes, m.
     Returns: (M,) true where the whole cube projects into the image and on no pixel of a person; (M,) true where some
         pixel of a person may belong to it.
     edge: of the cubes, m; 0: only their centres are tested.
@@ -239,7 +242,9 @@ def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[n
 
 
 def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
-    """Draw the hull's voxels in pinhole cameras: (C, h, w) uint8, padded to the common size."""
+    """Draw the voxels of a hull in pinhole cameras.
+
+    Returns: (C, h, w) uint8 masks, 1 = hull, padded to the common size."""
     points = hull.surface_points
     sizes = rig.sizes
     out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
@@ -264,7 +269,8 @@ def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
 
 
 def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
-    """Compute the intersection over union (C,) of the drawn hull and each mask; NaN for views that are not usable."""
+    """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
+    views that are not usable."""
     pictures = hull_masks(hull, silhouettes.rig).astype(bool)
     masks = silhouettes.masks > 0
     both = (pictures & masks).sum((1, 2))

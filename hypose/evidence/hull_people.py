@@ -61,12 +61,11 @@ def views_to_find(frame: Frame) -> int:
 
 @dataclass(frozen=True)
 class HullPerson:
-    """A person found in a hull.
+    """Person found in a visual hull.
 
-    hull: the part of the hull.
+    hull: the part of the hull that is this person.
     axis: (2,) where the person stands on the floor, m.
-    seen: (C, h, w) the person's pixels, where they are known (depth cameras).
-    """
+    seen: (C, h, w) the person's pixels, where they are known (depth cameras)."""
 
     hull: Hull
     axis: Array
@@ -79,7 +78,7 @@ class HullPerson:
 
     @property
     def tall(self) -> bool:
-        """Whether the hull is as tall as most people; a child's is not."""
+        """Whether the hull is as tall as most adults; False for a small child."""
         return self.hull.height > _TALL
 
     @property
@@ -148,7 +147,8 @@ def people_in_hull(
 def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
     """Split a hull into parts that stand on the floor; ghosts are included.
 
-    floor: its height, m; most: largest number of people.
+    floor: height of the floor, m.
+    most: largest number of people.
     surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
     """
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
@@ -157,7 +157,9 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
 def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
     """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to each.
 
-    floor: its height, m; most: largest number of people; surface: as for `people_of_hull`.
+    floor: height of the floor, m.
+    most: largest number of people.
+    surface: as for `people_of_hull`.
     """
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
@@ -207,7 +209,9 @@ def _disc(radius: float) -> NDArray[np.bool_]:
 def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
     """Sum the plan within a disc around one of its cells.
 
-    filled: (nx, ny) number of voxels in each column; i, j: the cell; disc: as built by `_disc`.
+    filled: (nx, ny) number of voxels in each column.
+    i, j: the cell.
+    disc: as built by `_disc`.
     """
     r = disc.shape[0] // 2
     low, left = max(i - r, 0), max(j - r, 0)
@@ -219,8 +223,10 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
     """Decide whether the voxels (M, 3), m, around an axis make a person.
 
-    near: voxels nearer than ABOUT; litre: volume of one voxel, litres; floor: its height, m; surface: as for
-        `people_of_hull`.
+    near: voxels nearer than ABOUT.
+    litre: volume of one voxel, litres.
+    floor: height of the floor, m.
+    surface: as for `people_of_hull`.
     nearby: litres within PART_OF_LARGER_M, of any person. Why: a part of something wide is no child; and a child's
         surface
     alone is no larger than that of furniture.
@@ -236,7 +242,9 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
     """Keep the people who show own pixels in several views; ghosts lie where the masks belong to other people.
 
-    left: silhouettes in which known people are ignored; found: candidates, the largest first; least: number of views.
+    left: silhouettes in which known people are ignored.
+    found: candidates, the largest first.
+    least: number of views.
     """
     given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
@@ -256,7 +264,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     """Select the part of the chosen voxels (M,) that is connected to those near the axis (2,).
 
-    hull: of all people; returned is a hull cut to the part.
+    hull: hull of all people; returned is a hull cut to the part.
     """
     index = np.argwhere(hull.occupancy)
     kept = np.zeros_like(hull.occupancy)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import PARALLEL, Camera, CameraRig, triangulate, widest_angle
-from hypose.evidence.keypoints import other_sides
+from hypose.evidence.keypoints import other_sides, person_size
 from hypose.geometry import Array, se3_inverse
 
 SeenT = TypeVar("SeenT")
@@ -25,14 +25,15 @@ SeenT = TypeVar("SeenT")
 
 @dataclass(frozen=True)
 class Trial(Generic[SeenT]):
-    """A suspected fault that was undone as a trial.
+    """Suspected fault of a calibration or its views, with the cameras and observations after it was undone as a
+    trial.
 
-    kind, cure: as in `Finding`.
+    kind: kind of the fault, as in `Finding.kind`.
+    cure: next step for the user, a sentence.
     views: indices of the affected views; empty for all.
     words: description of the fault.
     rig: cameras after the cure.
-    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps.
-    """
+    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps."""
 
     kind: str
     views: tuple[int, ...]
@@ -87,14 +88,14 @@ def geometric_trials(
 
 
 def sizes(pixels: Array) -> Array:
-    """Compute the person's size in each view: the median over frames of the longer side.
+    """Compute the person's size in each view: the longer side of the box around the key points, median over the
+    frames.
 
     pixels: (C, T, K, 3) px, and confidence.
-    Returns: (C,) px; 0 where no person is seen.
-    """
+    Returns: (C,) px; 0 where no person is seen."""
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
-        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        found = [size for p in view if (size := person_size(p, least=6)) > 0]
         out[c] = float(np.median(found)) if found else 0.0
     return out
 
@@ -169,7 +170,7 @@ def trials(
         return moved(views, change, exchanged)
 
     def scaled(views: Sequence[int], factor: ArrayLike, offset: ArrayLike = 0.0) -> Array:
-        return moved(views, lambda _, xy: (xy + 0.5) * factor - 0.5 + offset)
+        return moved(views, lambda _, xy: (xy + 0.5) * np.asarray(factor) - 0.5 + np.asarray(offset))
 
     # a mirrored picture exchanges left and right; a reversed axis alone does not
     yield from geometric_trials(
@@ -279,7 +280,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 
     rig: the calibrated cameras.
     people: per view and frame the people (P, K, 3), px of the calibrated, distorted cameras; None: no file.
-    names: of the K points.
+    names: names of the K points.
     Returns: a part of a sentence that names the error; None where nothing is wrong, it cannot be known, or the
         calibration is wrong, which other checks report.
     """
@@ -308,7 +309,9 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
 def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int) -> Array | None:
     """Select frames (C, T, K, 3) in which two or more views see exactly one person; None when there are too few.
 
-    people: per view and frame the people (P, K, 3), None where there are none; count: K; views: number of views.
+    people: per view and frame the people (P, K, 3), None where there are none.
+    count: K.
+    views: number of views.
     """
     frames = range(max((len(p) for p in people), default=0))
     single = [

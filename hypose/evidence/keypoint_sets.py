@@ -85,13 +85,14 @@ _KNOWN_PARTS = {n.removeprefix("left_").removeprefix("right_") for names in KEYP
 
 
 def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]]:
-    """Reorder points with foreign names to the set that contains most of them (the smaller one of equals).
+    """Reorder key points with the names of another program to the key-point set that contains most of them (of equal
+    sets the smaller one).
 
     points: (..., K, 3).
-    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given names
+    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given
+        names
         that the set does not have.
-    Raises: InputError where no set contains four of the names.
-    """
+    Raises: InputError where no set contains four of the names."""
     common = [common_name(n) for n in names]
     held = {s: sum(n in order for n in dict.fromkeys(common)) for s, order in KEYPOINT_SETS.items()}
     best = max(KEYPOINT_SETS, key=lambda s: (held[s], -len(KEYPOINT_SETS[s])))
@@ -112,10 +113,10 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
 def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
     """Compute by how much the bones of people are too long when their points are read as a given set.
 
-    points: (N, K, 3).
-    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little
-        is seen. Right sets have about 0, others 1 and more.
-    """
+    points: (N, K, 3) px and confidence, of N people.
+    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too
+        little
+        is seen. Right sets have about 0, others 1 and more."""
     p = np.asarray(points, dtype=np.float64)
     names = keypoint_names(keypoint_set)
     if p.ndim != 3 or p.shape[1] < len(names):
@@ -145,14 +146,16 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
 
 
 def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[str]) -> tuple[str, str]:
-    """Find the set of key points of people (N, K, 3), per view.
+    """Find out which key-point set the points of people belong to.
 
-    stated: what the user or the file says; None: nothing.
+    views: per view the points (N, K, 3) of N people, px and confidence.
+
+    stated: name of the set that the user or the file states; None: not stated.
     usual: sets that are preferred where several have this number of points.
     Returns: name of the set; how it is known: "stated", "by their number" or "by the lengths of bones".
-    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of another
-        are not, or where no set has this number of points or fits.
-    """
+    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of
+        another
+        are not, or where no set has this number of points or fits."""
     count = views[0].shape[1]
     fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]
     fitting = list(dict.fromkeys(fitting))

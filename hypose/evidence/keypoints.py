@@ -88,17 +88,20 @@ _BONES = tuple(
 
 
 def lasting_m(names: Sequence[str]) -> float:
-    """Return the error of a set's points that is the same in all views and frames, m per axis, so that no scatter shows
-    it.
+    """Return the constant error of a set's key points, m per axis: the part that is the same in all views and
+    frames, so that no scatter shows it.
 
-    It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their mean
-    offsets. 0 for other sets.
-    """
+    It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their
+        mean
+    offsets. 0 for other sets."""
     return 0.02 if tuple(names) == BLAZEPOSE_33 else 0.0
 
 
 def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
-    """Return the names of a set; InputError, which lists the sets, where it is unknown."""
+    """Return the names of the points of a key-point set.
+
+    keypoint_set: name of the set.
+    Raises: InputError, which lists the sets, where the name is unknown."""
     found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(keypoint_set.strip().upper().replace("-", "_"))
     if found is None:
         raise InputError(f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}.")
@@ -114,8 +117,9 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
 
 
 def names_of_length(count: int) -> tuple[str, ...]:
-    """Return the set with this number of points (25: OpenPose's BODY_25); InputError, which lists the sets, where
-    there is none."""
+    """Return the names of the key-point set with this number of points (25: OpenPose's BODY_25).
+
+    Raises: InputError, which lists the sets, where no set has this number."""
     for names in KEYPOINT_SETS.values():
         if len(names) == count:
             return names
@@ -319,17 +323,22 @@ def triangulate_keypoints(
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
     """Compute the distances (C, N), px, between projections of x (N, 3) and uv (C, N, 2); very large behind a camera.
 
-    x: (N, 3) m; uv: (C, N, 2) px; w: (C, N) weights, 0 where a point is not seen.
+    x: (N, 3) m.
+    uv: (C, N, 2) px.
+    w: (C, N) weights, 0 where a point is not seen.
     """
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 
 
-def person_size(points: ArrayLike, min_confidence: float = 0.3) -> float:
-    """Compute the longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
+def person_size(points: ArrayLike, min_confidence: float = 0.3, least: int = 3) -> float:
+    """Compute the longer side of the box around the confident points (K, 3), px; 0 where there are fewer than `least`.
+
+    min_confidence: points with a larger confidence count.
+    """
     p = np.asarray(points, dtype=np.float64)
     p = p[p[:, 2] > min_confidence]
-    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) > 2 else 0.0
+    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) >= least else 0.0
 
 
 def thick_skeleton(

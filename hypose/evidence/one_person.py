@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import PersonTrack, choose, joined, people_of
-from hypose.evidence.keypoints import other_sides
+from hypose.evidence.keypoint_check import sizes
+from hypose.evidence.keypoints import other_sides, person_size
 from hypose.evidence.ray_matching import Views, meet
 from hypose.geometry import Array
 
@@ -38,11 +39,10 @@ class OnePerson:
 
     points: (T, C, K, 3 or more) as they were given, confidence 0 where the person is not seen.
     several: another person is present in a good part of the clip.
-    people: those seen by two views or more, this person first.
+    people: tracks of all people seen by two views or more, this person first.
     by_rays: true: people were matched by rays; false: by motion.
     apart: views whose detections do not fit the person's place.
-    notes: sentences for the user.
-    """
+    notes: sentences for the user."""
 
     points: Array
     several: bool
@@ -62,7 +62,7 @@ def one_person(
 ) -> OnePerson:
     """Find the person who is seen in most frames and views.
 
-    frame_rate: Hz.
+    frame_rate: frames per second, Hz.
     candidates, names, rig: as in `hypose.evidence.association.people_of`.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
         in the other views. Otherwise such a view is left out.
@@ -121,7 +121,8 @@ def one_person(
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Find views (C,) whose key points lie next to the place where the rays of the other views meet.
 
-    person: the track; absent: (C,) views that are known to show someone else, and are not used.
+    person: the track.
+    absent: (C,) views that are known to show someone else, and are not used.
     The worst view is removed first, as long as three or more are left to decide.
     """
     views = Views(rig)
@@ -153,7 +154,10 @@ def _how_many(people: Array | None) -> int:
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
     """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people.
 
-    column: candidates of the view in each frame; tracks: the tracked people; c: the view; frames: their number.
+    column: candidates of the view in each frame.
+    tracks: the tracked people.
+    c: the view.
+    frames: their number.
     """
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
@@ -168,7 +172,9 @@ def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> O
     Of equals, the people present longest are taken.
 
     columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
-    names: of the K points; width: columns of a point; notes: sentences for the user.
+    names: names of the K points.
+    width: columns of a point.
+    notes: sentences for the user.
     """
     found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
     shown = [c for c, people in enumerate(found) if people]
@@ -209,8 +215,10 @@ def _alike(
     """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
     views.
 
-    column: candidates of the view in each frame; tracks: the people of the view, see `view_tracks`; names: of the K
-        points; width: columns of a point.
+    column: candidates of the view in each frame.
+    tracks: the people of the view, see `view_tracks`.
+    names: names of the K points.
+    width: columns of a point.
     All zero where no person does.
     """
     twin, scored = other_sides(names), []
@@ -229,7 +237,8 @@ def _alike(
 def _continued(track: NDArray[np.int64], tracks: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Extend a person's candidates (T,) by those of others who are alone in the view while the person is missing.
 
-    track: candidates of the person, -1 where missing; tracks: those of all people of the view.
+    track: candidates of the person, -1 where missing.
+    tracks: those of all people of the view.
     """
     out = track.copy()
     count = np.sum([t >= 0 for t in tracks], axis=0)
@@ -263,31 +272,23 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[NDArray[n
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     tracks: list[NDArray[np.int64]] = []
-    last: list[Array] = []
-    at: list[int] = []
-    alive: list[int] = []
     for t, people in enumerate(frames):
-        alive = [i for i in alive if t - at[i] <= patience]
         if people is None:
             continue
-        is_person = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS)
-        if not len(is_person):
-            continue
-        free = set(is_person.tolist())
-        if alive:
-            cost = np.array([[_moved(last[i], people[p], t - at[i]) for p in is_person] for i in alive])
+        free = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS).tolist()
+        begin = max(0, t - patience)
+        seen = [(track, begin + np.flatnonzero(track[begin:t] >= 0)) for track in tracks]
+        alive = [(track, int(at[-1])) for track, at in seen if len(at)]
+        if alive and free:
+            last = [np.asarray(frames[at])[track[at]] for track, at in alive]
+            cost = [[_moved(q, people[p], t - at) for p in free] for q, (_, at) in zip(last, alive, strict=True)]
             for i, j in zip(*linear_sum_assignment(np.minimum(cost, 2.0)), strict=True):
-                if cost[i, j] < 1.0:
-                    n, p = alive[int(i)], int(is_person[j])
-                    tracks[n][t], last[n], at[n] = p, people[p], t
-                    free.discard(p)
-        for p in sorted(free):
-            new = np.full(len(frames), -1, dtype=np.int64)
-            new[t] = p
-            tracks.append(new)
-            last.append(people[p])
-            at.append(t)
-            alive.append(len(tracks) - 1)
+                if cost[i][j] < 1.0:
+                    alive[i][0][t] = free[j]
+        for p in free:
+            if not any(track[t] == p for track in tracks):
+                tracks.append(np.full(len(frames), -1, dtype=np.int64))
+                tracks[-1][t] = p
     return sorted(tracks, key=lambda c: -int((c >= 0).sum()))
 
 
@@ -300,16 +301,18 @@ def _moved(before: Array, now: Array, gap: int) -> float:
     both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0
-    size = max(float(np.ptp(p[p[:, 2] > _LEAST_CONFIDENCE, :2], axis=0).max()) for p in (before, now))
+    size = max(person_size(p, _LEAST_CONFIDENCE) for p in (before, now))
     apart = float(np.median(np.linalg.norm(before[both, :2] - now[both, :2], axis=1)))
     return apart / max(_JUMP * size * min(1.0 + 0.1 * (gap - 1), 2.0), 1e-6)
 
 
 def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: int, columns: int = 3) -> Array:
-    """Collect the points (T, K, columns) of the candidates numbered (T,), zero where there is none; count: K.
+    """Collect the points of one person from the candidates of each frame of a view.
 
     frames: T arrays (P, K, columns), None where there are no candidates.
-    """
+    candidates: (T,) index of the person's candidate in each frame, -1 for none.
+    count: number K of key points.
+    Returns: (T, K, columns) points; 0 where the person has no candidate."""
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:
@@ -338,16 +341,7 @@ def moves_as(one: Array, other: Array) -> float:
     distance = []
     for k, points in enumerate((one, other)):
         lines = cv2.computeCorrespondEpilines(pairs[1 - k], 2 - k, found[:3])[:, 0]  # in this view, of unit normals
-        distance.append(np.abs((lines[:, :2] * pairs[k]).sum(1) + lines[:, 2]) / _size(points))
+        distance.append(
+            np.abs((lines[:, :2] * pairs[k]).sum(1) + lines[:, 2]) / max(float(sizes(points[None])[0]), 1.0)
+        )
     return float(np.median(np.max(distance, axis=0)))
-
-
-def _size(points: Array) -> float:
-    """Compute the median over frames of the longer side of points (T, K, 3), px."""
-    seen = points[..., 2] > _LEAST_CONFIDENCE
-    enough = seen.sum(1) >= _LEAST_POINTS
-    p, s = points[enough], seen[enough][..., None]
-    if not len(p):
-        return 1.0
-    extent = np.where(s, p[..., :2], -np.inf).max(1) - np.where(s, p[..., :2], np.inf).min(1)
-    return max(float(np.median(extent.max(1))), 1.0)

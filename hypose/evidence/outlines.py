@@ -53,7 +53,8 @@ class Outlines:
     """Outlines of all views; zero for views that are not usable. See ViewOutline for the fields.
 
     distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
-    points: (C, K, 2); found, extent, shrunk: (C,).
+    points: (C, K, 2).
+    found, extent, shrunk: (C,).
     """
 
     distance: NDArray[np.float32]
@@ -82,8 +83,7 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     """Compute the outline of a mask (h, w) without padding, in its own size.
 
     count: number of outline points.
-    working_height: px, for tracking, see `outline_in_box`.
-    """
+    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk."""
     box = bounding_box(mask) or (0, 0, 0, 0)
     if working_height is not None:
         return outline_in_box(mask[box[0] : box[1], box[2] : box[3]], box, mask.shape, count, working_height)
@@ -117,7 +117,10 @@ def outline_in_box(
 
 
 def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
-    """Compute the outline of a packed mask; count points, working_height px as for `outline_in_box`."""
+    """Compute the outline of a packed mask for tracking.
+
+    count: number of outline points.
+    working_height: a mask taller than this is shrunk before, px."""
     draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
@@ -131,8 +134,10 @@ def _outline_around(
 ) -> ViewOutline:
     """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
 
-    box: y0, y1, x0, x1 around the person; shape: (h, w) of the whole mask; count: number of outline points;
-        working_height: px, see `outline_in_box`.
+    box: y0, y1, x0, x1 around the person.
+    shape: (h, w) of the whole mask.
+    count: number of outline points.
+    working_height: px, see `outline_in_box`.
     """
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
@@ -162,7 +167,8 @@ def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[
 def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
     """Build the outline of a mask that is too small: all zero, in the shape of the mask part, with `count` points.
 
-    extent: longer side of the mask's box, px; working_height: as requested.
+    extent: longer side of the mask's box, px.
+    working_height: as requested.
     """
     nothing = np.zeros(shape, np.float32), np.zeros((count, 2), np.float32)
     return ViewOutline(*nothing, 0, extent, working_height=working_height)
@@ -176,14 +182,16 @@ _FEW_POINTS, _NEARBY = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 def shared_outline(
     mask: Mask, ignored: Mask, box: ArrayLike, count: int = OUTLINE_POINTS, working_height: int | None = None
 ) -> ViewOutline:
-    """Compute the outline of a mask (h, w) with pixels `ignored` (h, w), for a person expected in box (y0, y1, x0, x1),
-    px.
+    """Compute the outline of one person's mask, in which other people may hide parts.
+
+    mask, ignored: (h, w) the mask, and the pixels without information.
+    box: where the person is expected, (y0, y1, x0, x1) px.
 
     count: number of outline points. An outline of zeros is returned where too little of the person is known.
-    working_height: as for `outline_in_box`.
-    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
-        to -1e6, because the outline there may be another person's.
-    """
+    working_height: a mask taller than this is shrunk before, px; None: it is not shrunk.
+    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are
+        set
+        to -1e6, because the outline there may be another person's."""
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])
     nothing = _no_outline((2, 2), count, extent, working_height)
@@ -221,7 +229,8 @@ def shared_outline(
 def _halves(extent: int, working_height: int | None) -> int:
     """Compute twice the factor by which to shrink: so many pixels become 2.
 
-    extent: longer side of the box, px; working_height: wanted height, px, None: nothing is shrunk (2 is returned).
+    extent: longer side of the box, px.
+    working_height: wanted height, px, None: nothing is shrunk (2 is returned).
     """
     return 2 if working_height is None else max(2, 2 * extent // working_height)
 

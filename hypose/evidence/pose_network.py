@@ -34,11 +34,10 @@ _LOGIT = 30.0
 
 @dataclass(frozen=True)
 class Crop:
-    """Square in which a person is searched, px of the picture.
+    """Square of a picture in which a person is searched, by two points in px of the picture.
 
     hips: (2,) centre of the hips, which is the centre of the square.
-    top: (2,) point above it on the circle around the whole body.
-    """
+    top: (2,) point above it on the circle around the whole body."""
 
     hips: Array
     top: Array
@@ -119,7 +118,8 @@ class PoseNetwork:
     gives_masks: bool = True
 
     def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Sighting]:
-        """Detect the people in a picture (h, w, 3) BGR; number: in the video; before: where people are expected."""
+        """Detect the people in a picture (h, w, 3) BGR; number: number of the picture in the video; before: squares
+        in which people are expected."""
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
             known = [f.following for f in found if f.following is not None]
@@ -130,7 +130,9 @@ class PoseNetwork:
     def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
         """Add the people in the crops to those found, unless they are the same.
 
-        image: (h, w, 3) BGR; crops: where to search; found: people found before, who come first in the result.
+        image: (h, w, 3) BGR.
+        crops: where to search.
+        found: people found before, who come first in the result.
         """
         out = list(found)
         for crop in crops:
@@ -173,7 +175,8 @@ class PoseNetwork:
     def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
         """Detect people in a square of the picture, which may reach beyond it; yield scores and crops.
 
-        x, y: left upper corner of the square, px; side: its length, px.
+        x, y: left upper corner of the square, px.
+        side: its length, px.
         """
         part = image[max(y, 0) : y + side, max(x, 0) : x + side]
         scale = DETECTOR / side
@@ -195,7 +198,7 @@ def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
     """List the squares (x, y, side), px, that the detector processes: the whole picture, and parts for people who are
     too small in the whole.
 
-    width, height: of the picture, px.
+    width, height: width and height of the picture, px.
     """
     most, side = max(width, height), round(_PART * min(width, height))
 

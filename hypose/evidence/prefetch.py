@@ -33,7 +33,8 @@ _Views = Callable[[], list[ViewOutline | None] | None]
 
 @dataclass(frozen=True)
 class _Made:
-    """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: of `outlines`,
+    """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: as returned by
+    `outlines`,
     `prepared_masks`."""
 
     views: _Views | None = None
@@ -49,12 +50,11 @@ def _keep(silhouettes: Silhouettes, made: _Made) -> None:
 
 
 def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
-    """Announce that other code computes the outlines of these silhouettes for tracking.
+    """Register a function that delivers the outlines of these silhouettes, which other code is computing for
+    tracking.
 
-    views: function that waits for them and returns one per view (None where there is none), or None when there will be
-        none.
-    The results are kept as long as the silhouettes.
-    """
+    views: function that waits for the outlines and returns one per view (None for a view without one), or returns
+        None when no outlines will come. The results are kept as long as the silhouettes."""
     _keep(silhouettes, _Made(views))
 
 
@@ -84,8 +84,8 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 
 def make_now(silhouettes: Silhouettes) -> None:
-    """Compute outlines and prepared masks now and keep them with the silhouettes, for masks that are tracked more
-    than once."""
+    """Compute the outlines of silhouettes and prepare their masks for the scorer now, and store both with the
+    silhouettes, for masks that are tracked more than once."""
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
@@ -93,7 +93,8 @@ def make_now(silhouettes: Silhouettes) -> None:
 def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
     """Compute the outlines of a frame's usable views, or take them from the cache.
 
-    count: points per view; working_height: as for `view_outline`.
+    count: points per view.
+    working_height: as for `view_outline`.
     """
     known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
@@ -114,7 +115,10 @@ def _outline(
 ) -> ViewOutline:
     """Compute the outline of one view, of size (w, h), without the ignored pixels.
 
-    silhouettes: of the frame; view: its index; count: number of points; working_height: as for `view_outline`.
+    silhouettes: of the frame.
+    view: its index.
+    count: number of points.
+    working_height: as for `view_outline`.
     """
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
@@ -125,7 +129,7 @@ def _outline(
 
 
 def pack_once(silhouettes: Silhouettes) -> None:
-    """Prepare the masks for the scorer now and keep them with the silhouettes."""
+    """Prepare the masks for the silhouette scorer now, and store the result with the silhouettes."""
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))

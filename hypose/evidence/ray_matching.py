@@ -26,7 +26,10 @@ _PRIOR_M = 0.35
 class Views:
     """Pinhole cameras of a rig as arrays.
 
-    projections: (C, 3, 4); centres: (C, 3) m; world_from_pixel: (C, 3, 3); pairs: (Q, 2) all pairs of views.
+    projections: (C, 3, 4).
+    centres: (C, 3) m.
+    world_from_pixel: (C, 3, 3).
+    pairs: (Q, 2) all pairs of views.
     """
 
     def __init__(self, rig: CameraRig) -> None:
@@ -67,7 +70,9 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     """Compute the distances of candidates' points from those of expected people.
 
     views: the cameras.
-    expected: (N, K, 3) m; found: (C, P, K, 3) candidates of each view; limit: m.
+    expected: (N, K, 3) m.
+    found: (C, P, K, 3) candidates of each view.
+    limit: m.
     Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
     """
     uv, metres = views.seen_at(expected)
@@ -86,8 +91,11 @@ def mean_of_known(values: Array, least: int) -> Array:
 def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
     """Compute the distances between the rays of candidates, averaged over their common points.
 
-    views: the cameras; least: number of common points that a comparison needs.
-    which: (M,) view of each candidate; found: (M, K, 3); limit: m, at which single distances end.
+    views: the cameras.
+    least: number of common points that a comparison needs.
+    which: (M,) view of each candidate.
+    found: (M, K, 3).
+    limit: m, at which single distances end.
     Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
     """
     d = views.rays(found[..., :2], which)

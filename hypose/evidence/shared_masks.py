@@ -33,7 +33,9 @@ _NEAR_M = 0.05
 class BodyShape:
     """Skin of a posed body as pinhole cameras see it.
 
-    vertices: (V, 3) m; faces: (F, 3) of a closed surface; rig: the cameras.
+    vertices: (V, 3) m.
+    faces: (F, 3) of a closed surface.
+    rig: the cameras.
     """
 
     vertices: Array
@@ -53,7 +55,8 @@ class BodyShape:
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
-        """Boxes (C, 4) y0, y1, x0, x1, px, half open, in each view's image; empty where it is not in view."""
+        """Boxes (C, 4) y0, y1, x0, x1, px, half open, around the body in each view's image; empty where the body is
+        not in view."""
         uv, size = self._projected[0], self.rig.sizes
         low, high = np.floor(np.fmin.reduce(uv, 2)), np.ceil(np.fmax.reduce(uv, 2)) + 1
         low, high = (np.clip(np.nan_to_num(n), 0, size).astype(np.int64) for n in (low, high))
@@ -83,12 +86,12 @@ class DrawnShape:
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
-        """Boxes as of a BodyShape."""
+        """Boxes (C, 4) y0, y1, x0, x1, px, half open, around the mask in each view; empty where it is not in view."""
         found = [cv2.boundingRect(m) for m in self.masks]
         return np.array([(y, y + h, x, x + w) for x, y, w, h in found], dtype=np.int64).reshape(-1, 4)
 
     def drawn(self, view: int) -> NDArray[np.uint8]:
-        """Return the silhouette inside its box in a view."""
+        """Return the silhouette (0 and 1) inside its box in a view."""
         y0, y1, x0, x1 = self.boxes[view]
         return self.masks[view, y0:y1, x0:x1]
 
@@ -99,7 +102,10 @@ StandingShape = BodyShape | DrawnShape
 
 @dataclass(frozen=True)
 class Other:
-    """Another person: shape, and the share of its longer side by which it is widened."""
+    """Another person, who may hide the tracked person.
+
+    shape: the person's silhouette in each view.
+    widened: width by which the silhouette is widened, as a share of its longer side."""
 
     shape: StandingShape
     widened: float = PREDICTED_WIDENING
@@ -114,8 +120,10 @@ class Other:
 def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
     """Draw the widened silhouette of a shape into ignored (h, w), inside y0, y1, x0, x1, in place.
 
-    ignored: changed in place; view: index of the view; share: of the longer side of the box by which the silhouette is
-        widened; within: the region.
+    ignored: changed in place.
+    view: index of the view.
+    share: of the longer side of the box by which the silhouette is widened.
+    within: the region.
     """
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
@@ -142,8 +150,8 @@ def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
     """Mark the pixels of other people in the silhouettes as ignored.
 
     others: the people whose bodies, widened, cover the pixels.
-    No person's place is expected in the result, so it is for hulls and not for outlines.
-    """
+    Returns: the silhouettes without an expected place of a person, so they are for visual hulls and not for
+        outlines."""
     if not others:
         return silhouettes
     ignored = np.zeros_like(silhouettes.masks)

@@ -1,4 +1,4 @@
-"""Segment the person in images: difference from a background model, shadow test, clean-up, refinement of the rim.
+"""Segment the person in images: difference from a background model, shadow test, clean-up.
 
 Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths are px of that size.
 """
@@ -32,7 +32,6 @@ _RANGES = {
     "hole_px": (0, 10**6),
     "keep_share": (0.0, 1.0),
     "keep_gap": (0.0, 1e6),
-    "rim_px": (1, 100),
 }
 """Allowed range of each option; beyond it nothing is left of a mask, or it takes minutes to compute."""
 _TWO_VALUED, _LABELS = 48, 32
@@ -62,16 +61,16 @@ class Segmenter(Protocol):
 class SilhouetteSettings:
     """Settings for segmenting the person. The defaults suit a person of 80-400 px height.
 
-    threshold: foreground is beyond this many sd; min_sd: lower bound of the sd, grey levels (compression, light).
+    threshold: foreground is beyond this many sd.
+    min_sd: lower bound of the sd, grey levels (compression, light).
     shadow: remove shadows, which have the same colour, but darker. Switch it off in grey scenes, where the person has
         the same colour too.
-    shadow_range: brightness of a shadow relative to the lit ground; shadow_chroma: its largest colour distance from the
-        darkened ground, grey levels.
+    shadow_range: brightness of a shadow relative to the lit ground.
+    shadow_chroma: its largest colour distance from the darkened ground, grey levels.
     open_px, close_px: sizes of the morphological opening and closing, 0 = off.
     hole_px: holes up to this area are filled.
     keep_share: connected parts smaller than this share of the largest one are removed (1 keeps only the largest).
     keep_gap: parts further from the largest than this share of its longer side are removed.
-    grabcut: refine the mask within rim_px on either side of its outline by GrabCut (slow: 25 ms and more per view).
     """
 
     threshold: float = 4.0
@@ -84,12 +83,10 @@ class SilhouetteSettings:
     hole_px: int = 60
     keep_share: float = 0.02
     keep_gap: float = 0.1
-    grabcut: bool = False
-    rim_px: int = 3
 
     @property
     def cleaning(self) -> mask_runs.Cleaning:
-        """Settings of the clean-up."""
+        """The settings of the mask's clean-up (opening, closing, holes, small parts)."""
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
@@ -113,7 +110,8 @@ class SilhouetteSettings:
 def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
     """Build the function that segments the images of one view.
 
-    background: model of the empty room; options: settings (default: SilhouetteSettings()).
+    background: model of the empty room.
+    options: settings (default: SilhouetteSettings()).
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
     threads at once.
     """
@@ -125,7 +123,7 @@ class _Segmenter:
         self._options, self._shape = options, background.valid.shape
         self._unseen = None if background.valid.all() else mask_runs.bits_of((~background.valid).view(np.uint8))
         self._room = _room(background, options)
-        self.glance: Glance | None = None if options.grabcut else glance_at(self._room)
+        self.glance: Glance | None = glance_at(self._room)
 
     def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
         return mask_runs.draw(self.runs(image, band))
@@ -145,17 +143,14 @@ class _Segmenter:
                 bits |= self._unseen & allowed
         if allowed is not None:
             bits &= allowed
-        o = self._options
-        runs = mask_runs.clean(bits, (h, w), o.cleaning)
-        if not o.grabcut:
-            return runs
-        return mask_runs.runs_of(refine_rim(image, mask_runs.draw(runs), o.rim_px, band))
+        return mask_runs.clean(bits, (h, w), self._options.cleaning)
 
 
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
     """Build the Gaussian model of each pixel and channel, with the brightness cone for shadows.
 
-    background: model of the empty room; options: threshold, least sd, and shadows.
+    background: model of the empty room.
+    options: threshold, least sd, and shadows.
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a is s b + rest, with
         background
     b, s in shadow_range, and a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by Alcoverro 2014, section
@@ -196,36 +191,6 @@ def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
     return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
 
 
-def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None) -> Mask:
-    """Refine a mask by GrabCut within rim_px on either side of its outline; the rest of the mask is fixed.
-
-    image: (h, w, 3) BGR; mask: (h, w) 0 or 1.
-    band: (h, w) where the person can be.
-    Returns: the refined mask; the given one where GrabCut's result is empty or has collapsed, which happens now and
-        then.
-    Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
-    """
-    box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
-    area = int(mask.sum())
-    if box is None or area == 0:
-        return mask
-    y0, y1, x0, x1 = box
-    m, part = mask[y0:y1, x0:x1], np.ascontiguousarray(image[y0:y1, x0:x1])
-    label = np.where(m > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    label[cv2.erode(m, mask_runs.disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
-    label[cv2.dilate(m, mask_runs.disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
-    if band is not None:
-        label[band[y0:y1, x0:x1] == 0] = cv2.GC_BGD
-    out = np.zeros_like(mask)
-    try:
-        cv2.setRNGSeed(0)  # this thread's generator: the same mask for any number of threads
-        cv2.grabCut(part, label, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)
-        out[y0:y1, x0:x1] = label & 1
-    except cv2.error:  # no sure background or foreground left: nothing to learn colours from
-        return mask
-    return out if int(out.sum()) >= 0.6 * area else mask
-
-
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
     """Convert an image to a mask (h, w): grey, colour (by its brightest channel) or with alpha, 8 or 16 bit.
 
@@ -250,7 +215,10 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
 def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
     """Choose the threshold of an image (h, w) with no value above half its range.
 
-    a: grey values; top: the largest; half: half of the range; source: name of the image for the error message.
+    a: grey values.
+    top: the largest.
+    half: half of the range.
+    source: name of the image for the error message.
     Raises: InputError where it is a picture of labels.
     """
     levels = np.unique(a[a > 0])
@@ -279,7 +247,9 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Find the views whose mask cannot be trusted.
 
-    names: of the C cameras; frame: its number, for the sentences; lowest, highest: the shares named below.
+    names: of the C cameras.
+    frame: its number, for the sentences.
+    lowest, highest: the shares named below.
     areas: (C,) foreground pixels of this frame.
     history: (C, H) areas in frames around or before it (H may be 0).
     Returns: C sentences, "" for a good view. A mask is bad when it is empty, above `highest` times its median area,
@@ -311,7 +281,8 @@ def make_silhouettes(
     """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
     size.
 
-    rig: pinhole cameras of the masks; reasons: (C,) why a view is not usable, "" where it is (default: all "").
+    rig: pinhole cameras of the masks.
+    reasons: (C,) why a view is not usable, "" where it is (default: all "").
     A view without a mask, with an empty one, or with a reason is not usable.
     Raises: InputError where a mask does not have its camera's size.
     """
@@ -364,7 +335,8 @@ def with_doubted_limbs(
     """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
 
     band: pixels near the 2D skeleton, to which the mask was cut.
-    points: (K, 3) px and confidence; names: of the points.
+    points: (K, 3) px and confidence.
+    names: of the points.
     height: of the person, px.
     A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones: the
     skeleton is in the wrong place.

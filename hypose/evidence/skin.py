@@ -143,7 +143,7 @@ def skin_map(
     """Compute the probability of skin (h, w) in a picture (h, w, 3) uint8 BGR; 0 outside the mask (h, w) when one is
     given.
 
-    table: of `skin_table` (default) or `learned_table`.
+    table: as returned by `skin_table` (default) or `learned_table`.
     It is the mean over 3 x 3 pixels within the mask without its outermost pixel, because masks include a little of the
     floor, which may be brown.
     Raises: InputError where the picture has another format, or picture and mask differ in size.

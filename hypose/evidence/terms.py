@@ -33,11 +33,10 @@ SCALE_OF_HEIGHT = 2.5 / 260
 
 
 class Limb(NamedTuple):
-    """The difference between poses of one limb; all else is as in the last pose.
+    """Description of poses that differ in one limb only; all other joints are as in the last pose.
 
     moving: (J,) true for the joints that turn.
-    rest: silhouettes of the parts that stay, where they are drawn already.
-    """
+    rest: silhouettes of the parts that stay, where they are drawn already."""
 
     moving: NDArray[np.bool_]
     rest: Standing | None = None
@@ -49,11 +48,10 @@ class Term:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A cue of one frame, prepared once for all its uses.
+    """Base class of one cue (kind of evidence) of one frame, prepared once for searches and solves.
 
     views: (C,) views or sensors that carry it; empty where it belongs to none.
-    terms: for solvers.
-    """
+    terms: residuals of the cue for solvers."""
 
     views: NDArray[np.bool_]
     terms: tuple[Term, ...]
@@ -67,15 +65,13 @@ class Evidence:
         """Compute the energies (N,) of poses (N, D) of a body for a search; low is good, the silhouettes of one view
         cost 0 to 2.
 
-        limb: all that differs between the poses.
-        The default is 0 for cues that a search does not use.
-        """
+        limb: the only part of the body that differs between the poses; None: any part may differ. The base class
+            returns 0, for cues that a search does not use."""
         return np.zeros(len(poses))
 
 
 class Piece(Protocol):
-    """Interface of a further cue that a frame carries, as it was measured; the file of a cue defines all that it
-    needs."""
+    """Interface of an additional kind of evidence that a frame carries in `Frame.more`, as it was measured."""
 
     def prepared(self, body: Body) -> Evidence:
         """Prepare the cue for a search and for solves of a body."""
@@ -89,7 +85,9 @@ class ContourTerm(Term):
 
     sdf: (C, h, w) float32 signed distance, px, negative inside.
     outline: (C, K, 2) float32 points on the mask's edge, px.
-    usable: (C,); sizes: (C, 2) width, height; projections: (C, 3, 4) pinhole.
+    usable: (C,).
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4) pinhole.
     weight: of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a view).
     scale_px, coarse_scale_px: Geman-McClure scale of the distance.
     row_spacing_px: distance of the forward rows along the body's outline.
@@ -218,7 +216,8 @@ class RowTerm(Term):
     """Residuals of body points in one frame, with a Cauchy (Lorentzian) cost of each point's residuals together.
 
     The cost is 2 w log(1 + |r|^2 / 4), with r in standard deviations, as for key points.
-    joint: (P,) joint of each point; offset: (P, 3) in the joint's frame, m (default: its centre).
+    joint: (P,) joint of each point.
+    offset: (P, 3) in the joint's frame, m (default: its centre).
     residuals: function of the points (P, 3), m, in the world; returns r (P, R), in sd, and its derivative with respect
         to the point (P, R, 3), in sd per m. NaN leaves a point out.
     weight: (P,) factors w on the points' costs, 0 for one that is not seen (default 1).
@@ -259,15 +258,15 @@ def contour_term(
 ) -> ContourTerm:
     """Build the contour evidence of a frame's masks.
 
-    weight: of one row at the reference density.
+    weight: weight of one row (residual) at the reference density of rows, see `ContourTerm`.
     outline_count: points per view.
-    working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels, and
+    working_height: px, for tracking: views in which the person is 1.5 times as tall are computed in larger pixels,
+        and
         distances only around the person.
     Raises: EvidenceError where no view is left; views that are not usable, or have no outline away from the image
         border, are left out.
     The Geman-McClure scale is 2.5 px for a person 260 px tall, in proportion (10 px in a 1080p image), in the first
-    iterations twice that.
-    """
+    iterations twice that."""
     made = outlines(silhouettes, outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
@@ -319,9 +318,13 @@ _MAP_SIDE = 160
 class DepthTerm(Term):
     """Term of depth in the solver; built by `depth_term`.
 
-    points, normals: (M, 3) in the world, m; weight: (M,); first: (C + 1,) ranges of each sensor's points.
+    points, normals: (M, 3) in the world, m.
+    weight: (M,).
+    first: (C + 1,) ranges of each sensor's points.
     eyes: (C, 3) positions of the sensors, m.
-    maps: (C, h, w) float32 m, 0: unknown; sizes: (C, 2) width, height; projections: (C, 3, 4).
+    maps: (C, h, w) float32 m, 0: unknown.
+    sizes: (C, 2) width, height.
+    projections: (C, 3, 4).
     free_share: weight, per point, of body in front of what was seen.
     scale_m: Geman-McClure scale of a point's distance, m.
     Body up to SLACK_M in front of what was seen costs nothing; beyond that its scale is FREE_SCALE_M.

@@ -52,13 +52,12 @@ class PoseFit:
 
     pose: (D,), the root's rotation vector on the branch of the start.
     solved: (D,) the same pose on the branch on which it was solved.
-    cost: F.
+    cost: F, half the weighted sum of robust squared residuals, plus the priors.
     hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
     gradient: (D,) of F in the same coordinates.
     iterations: number of iterations.
     converged: whether the last step was below the tolerance.
-    rows: number of rows of evidence (0: only the priors determine the pose).
-    """
+    rows: number of rows of evidence (0: only the priors determine the pose)."""
 
     pose: Array
     solved: Array
@@ -71,9 +70,8 @@ class PoseFit:
 
     @cached_property
     def information(self) -> Array:
-        """(D, D) Hessian by the pose's coordinates, with the root's rotation as a small turn in the world: the same for
-        every branch of its rotation vector.
-        """
+        """Inverse covariance (D, D) of the pose: the Hessian with the root's rotation as a small turn in the world,
+        which is the same for every branch of its rotation vector."""
         return by_turns(self.hessian, self.solved)
 
 
@@ -94,9 +92,9 @@ def by_turns(hessian: Array, pose: Array) -> Array:
 def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, ...]]:
     """Convert terms of evidence to the flat arrays of the compiled solve.
 
-    Returns: the arrays, and the terms that need Python.
-    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the body's.
-    """
+    Returns: the arrays; the terms whose residuals are Python functions, which the compiled solve cannot use.
+    Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the
+        body's."""
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
@@ -147,11 +145,11 @@ def fit_poses(
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> list[PoseFit]:
-    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; otherwise as `fit_pose`.
+    """Fit poses from several starts (N, D) to the same evidence, in parallel threads; each fit is done as by
+    `fit_pose`.
 
     priors: quadratic costs on the pose; options: settings of the solve.
-    Returns: one result per start, the same for any number of threads.
-    """
+    Returns: one result per start, the same for any number of threads."""
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -289,11 +287,11 @@ def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm
 
 
 class FrameProblem(Problem[Array, Evaluation]):
-    """Solve of one frame, step by step as in the compiled solve, for an evaluation that needs Python.
+    """Least-squares problem of one frame's pose for evidence whose residuals are Python functions; the steps are
+    those of the compiled solve.
 
     evaluation(pose, coarse): cost and derivatives at a pose (D,).
-    lower, upper: (D,) joint limits.
-    """
+    lower, upper: (D,) joint limits."""
 
     def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
@@ -316,7 +314,10 @@ class FrameProblem(Problem[Array, Evaluation]):
         return np.clip(state + step, self.lower, self.upper), moved
 
     def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve from a start with a number of coarse and of fine iterations."""
+        """Solve from a start pose (D,).
+
+        iterations: numbers of coarse and of fine iterations.
+        rule: damping and stopping rule."""
         found, used = None, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):

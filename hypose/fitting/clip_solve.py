@@ -29,7 +29,7 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 @dataclass(frozen=True)
 class Gaussian(Term):
-    """Evidence of one frame, summarised as a Gaussian of the pose: cost 1/2 off' information off.
+    """Evidence of one frame, summarised as a Gaussian distribution of the pose: cost 1/2 off' information off.
 
     centre: (D,) most probable pose.
     information: (D, D) inverse covariance, with the root's rotation as a small turn in the world
@@ -38,8 +38,7 @@ class Gaussian(Term):
     `off` is the difference (D,) of a pose from the centre: for the root the turn in the world log(R R0'), for other
     balls the turn from there log(R0' R), in the coordinates at the centre.
     Why: the rotation of a stretched arm about its own axis is undetermined. With turns it stays undetermined for any
-    angle; along a straight line of rotation vectors it would move the elbow.
-    """
+    angle; along a straight line of rotation vectors it would move the elbow."""
 
     centre: Array
     information: Array

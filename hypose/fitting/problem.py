@@ -98,8 +98,7 @@ class Problem(ABC, Generic[State, Equations]):
         """Propose another state, and how far it is in the units of Rule.moved; None: the equations are not positive
         definite.
 
-        equations: of the state; damping: relative to the diagonal of the Hessian.
-        """
+        equations: equations of the state; damping: relative to the diagonal of the Hessian."""
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
         """Descend from a start.
@@ -151,17 +150,16 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
         """Return the state after a step, and how far it moved.
 
-        step: (S,) of the shared unknowns.
-        own: (N, n) of the groups.
-        """
+        state: shared unknowns and groups' unknowns.
+        step: (S,) step of the shared unknowns.
+        own: (N, n) steps of the groups."""
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
     ) -> tuple[tuple[Shared, Array], float] | None:
         """Eliminate the groups, and compute the step from a state; see `Problem`.
 
-        equations: at the state; damping: relative to the diagonal.
-        """
+        equations: normal equations at the state; damping: relative to the diagonal."""
         reduced = equations.reduced(damping)
         step = reduced.step(self.free)
         if step is None:
@@ -188,15 +186,14 @@ class Quadratic:
 class Rows(NamedTuple):
     """R linearised residuals of points of a body in one frame.
 
-    carrier: (R, 3) what carries the point: vertices of the scoring mesh, or V + a joint.
+    carrier: (R, 3) the three carriers of each point: index of a vertex of the scoring mesh, or V + index of a joint.
     share: (R, 3) share of each carrier.
     point: (R, 3) m, world.
     slope: (R, 3) derivative of the residual by the point.
-    residual: (R,).
+    residual: (R,) residuals, in the unit of the cue (px, m).
     weight: (R,) of the squared residual, the derivative of the loss included.
     view: (R,) camera of the residual.
-    cost: robust cost of all residuals, including those without a row.
-    """
+    cost: robust cost of all residuals, including those without a row."""
 
     carrier: NDArray[np.int64]
     share: Array
@@ -320,9 +317,8 @@ class PoseProblem(SharedProblem[Shared]):
         """Return the shared unknowns after a step (S,)."""
 
     def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
-        """Compute the cost of a state from all cues; see `Problem`. They are linearised where the
-        equations are wanted.
-        """
+        """Compute the cost of a state from all cues; return it with a function that linearises the cues and makes
+        the normal equations."""
         shared, q = state
         body = self.body(shared)
         posed = [Posed(body, pose, vertices) for pose, vertices in zip(q, body.skin(q), strict=True)]
@@ -365,7 +361,7 @@ class PoseProblem(SharedProblem[Shared]):
         """Solve with one factor of the robust scales after the other, the coarsest first.
 
         start: (shared unknowns, poses).
-        factors: of the robust scales.
+        factors: factors of the robust scales.
         iterations: largest number per factor.
         moved: stop when a step is smaller than this.
         """

@@ -42,8 +42,8 @@ def rows_of_contours(
 
     at: the posed body.
     term: outlines of the masks.
-    factor: of the term's robust scale.
-    weight: of a row at the reference density.
+    factor: factor of the term's robust scale.
+    weight: weight of a row at the reference density.
     spacing_px: distance of the rows along the body's outline, px.
     normals: least cosine between the normals of both outlines; other rows are omitted.
     projections: (C, 3, 4) cameras; None: those of the term.
@@ -97,8 +97,8 @@ def rows_of_depth(at: Posed, term: DepthTerm, factor: float = 1.0, gain: float =
 
     at: the posed body.
     term: measured points with normals, by sensor.
-    factor: of the robust scale.
-    gain: of the weights.
+    factor: factor of the robust scale.
+    gain: gain of the weights.
     Returns: rows of each sensor.
     """
     from scipy.spatial import KDTree  # takes long to import

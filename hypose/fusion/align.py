@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,13 +25,12 @@ from hypose.geometry import Array
 class AlignSettings:
     """Settings of the output instants.
 
-    rate: of the output, Hz.
+    rate: rate of the output, Hz.
     wait: s for which a frame waits, after its instant, for sensors that have not reported yet; it bounds the latency.
     timeout: s of silence after which a sensor counts as dead and is not waited for.
     hold: s for which a skeleton is continued after its last report.
     horizon: largest time in s over which a movement is extrapolated.
     max_behind: s by which the output may lag after a pause of the whole program before frames are skipped.
-    latency: s by sensor name, a known constant delay between exposure and sending.
     most_sensors: number of sensors beyond which new ones are refused.
     most_people: number of people per sensor beyond which new ones are refused.
     Raises: InputError for a rate, wait, timeout or hold outside its range.
@@ -43,7 +42,6 @@ class AlignSettings:
     hold: float = 0.15
     horizon: float = 0.06
     max_behind: float = 1.0
-    latency: Mapping[str, float] = field(default_factory=dict)
     most_sensors: int = 16
     most_people: int = 16
 
@@ -72,7 +70,7 @@ class SensorBody:
 class SensorView:
     """One sensor at an instant.
 
-    name: of the sensor.
+    name: name of the sensor.
     alive: whether it reported within the time-out before the instant.
     life: number of times that it came back after a silence.
     bodies: the persons that it sees.
@@ -102,9 +100,9 @@ class Instant:
 class SensorStatus:
     """State of one sensor, for display.
 
-    name: of the sensor.
+    name: name of the sensor.
     alive: whether it reported within the time-out.
-    rate: of its reports, Hz.
+    rate: rate of its reports, Hz.
     offset: s to add to its clock to get the host's.
     jumps: number of jumps of its clock.
     returns: number of times that it came back after a silence.
@@ -234,7 +232,6 @@ class _Sensor:
 
     def __init__(self, name: str, s: AlignSettings) -> None:
         self.name = name
-        self.latency = s.latency.get(name, 0.0)
         self.until, self.since = -math.inf, -math.inf
         self.clock = SensorClock()
         self.tracks: dict[int, _Track] = {}
@@ -248,11 +245,6 @@ class _Sensor:
     @property
     def period(self) -> float:
         return float(np.median(self.steps)) if self.steps else 1 / 30
-
-    @property
-    def shift(self) -> float:
-        """Seconds to add to the sensor's times to get the host's."""
-        return self.clock.offset - self.latency
 
     def wake(self, time: float, now: float, s: AlignSettings) -> None:
         """Handle a report after a long silence: reset the sensor where it is new or restarted.
@@ -286,7 +278,7 @@ class _Sensor:
 class Aligner:
     """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
 
-    settings: of the output instants.
+    settings: settings of the output instants.
 
     Call `push` for every report and `poll` at the time `due()` or more often. A frame is made as soon as every living
     sensor has reported from its instant or later, and at the latest `wait` after its instant: late sensors are
@@ -337,7 +329,7 @@ class Aligner:
                 it.steps.append(time - it.newest)
             it.newest = time
         if math.isnan(self._start):
-            self._start = time + it.shift
+            self._start = time + it.clock.offset
         if person is None or body is None:
             return True
         track = it.tracks.get(person)
@@ -425,7 +417,7 @@ class Aligner:
         while True:
             t = self._instant(self._next)
             alive = [it for it in self._sensors.values() if it.alive]
-            complete = bool(alive) and all(it.newest + it.shift >= t for it in alive)
+            complete = bool(alive) and all(it.newest + it.clock.offset >= t for it in alive)
             if now < t or not (complete or now >= t + s.wait):
                 return out
             out.append(Instant(self._next, t, tuple(self._view(it, t) for it in self._sensors.values())))
@@ -437,7 +429,7 @@ class Aligner:
     def _view(self, it: _Sensor, t: float) -> SensorView:
         """Interpolate the persons of one sensor at an instant; t: s of the host's clock."""
         s, bodies, period = self.settings, [], it.period
-        t -= it.shift
+        t -= it.clock.offset
         if it.alive:
             for person, track in it.tracks.items():
                 # the sensor reported later frames without this person: it has lost the person

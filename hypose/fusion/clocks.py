@@ -26,8 +26,8 @@ class SensorClock:
 
     A message sent at sensor time s arrives at host time a = s + offset + delay with delay >= 0. The offset is therefore
     estimated by the smallest a - s of the last seconds, as in one-way clock filters. The least delay counts as part of
-    the offset; sensors with different constant delays need `AlignSettings.latency`. A clock that was set shows as
-    several messages in a row that are off by the same amount; a late message or a wrong time stamp does not.
+    the offset. A clock that was set shows as several messages in a row that are off by the same amount; a late message
+    or a wrong time stamp does not.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ def offset_by_movement(
 
     times_a, times_b: (T,) s from each sensor's own start.
     positions_a, positions_b: (T, J, 3) m in each sensor's frame, NaN where missing.
-    rate: of the correlation, Hz.
+    rate: rate of the correlation, Hz.
     limit: largest offset, s.
     Returns: seconds to add to the times of b, and the correlation of the speeds (0..1). Below 0.5 the offset means
         nothing: the person stood still, or the recordings show different persons.

@@ -114,12 +114,12 @@ def confidence_step(
     """Compute the measures inverse fluidity F, depth error D and unnatural posture A of one frame, before
     normalisation.
 
-    memory: of the frames before.
+    memory: memory of the frames before.
     positions: (K, 15, 3) m in the sensors' frames.
     state: (K, 15) joint states.
     depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
     times: (K,) s of the reports.
-    settings: of the measures.
+    settings: settings of the measures.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
         of a report without a new time, counts as 0.
     """
@@ -175,7 +175,11 @@ def unnatural(positions: ArrayLike) -> Array:
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
     j, a, b = _ANGLES
-    out[..., j] = _improbable(_inner_angle(s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]))
+    to_a, to_b = s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]
+    product = np.linalg.norm(to_a, axis=-1) * np.linalg.norm(to_b, axis=-1)
+    angle = np.arccos(np.clip((to_a * to_b).sum(-1) / np.maximum(product, 1e-12), -1, 1))
+    improbable = 1 - np.exp(-0.5 * ((angle - np.pi / 2) / (np.pi / 6)) ** 2)
+    out[..., j] = np.where(np.isfinite(improbable), improbable, 1.0)
     return out
 
 
@@ -184,16 +188,6 @@ def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
     top = inputs.max(axis=1, keepdims=True)
     top[1] = np.maximum(top[1], settings.floor_m)
     return inputs / np.maximum(top, 1e-9)
-
-
-def _inner_angle(a: Array, b: Array) -> Array:
-    norm = np.sqrt(np.einsum("...i,...i", a, a) * np.einsum("...i,...i", b, b))
-    return np.arccos(np.clip(np.einsum("...i,...i", a, b) / np.maximum(norm, 1e-12), -1, 1))
-
-
-def _improbable(angle: Array) -> Array:
-    p = 1 - np.exp(-0.5 * ((angle - np.pi / 2) / (np.pi / 6)) ** 2)
-    return np.where(np.isfinite(p), p, 1.0)
 
 
 _LIMB = np.array([3, 4, 6, 7, 10, 11, 13, 14])
@@ -228,8 +222,8 @@ class NoiseRules:
     and output lie in [0, 1].
 
     low_centre, high_centre: centres of the sigmoids "low" and "high".
-    slope: of both sigmoids.
-    medium_centre, medium_sd: of the Gaussian "medium".
+    slope: slope of both sigmoids.
+    medium_centre, medium_sd: medium centre and medium sd of the Gaussian "medium".
     points: number of samples of the output for the centroid.
     """
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion, isotropic
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints
+from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import (
@@ -34,7 +34,6 @@ from hypose.fusion.register import (
     by_triangles,
     check_same_person,
     common_joints,
-    confidence_of,
     measured_joint_depth,
     register,
 )
@@ -53,7 +52,7 @@ the clip like the other methods.
 class FusionSettings:
     """Settings of the fusion of one person.
 
-    seed: of the swarm's random numbers.
+    seed: seed of the swarm's random numbers.
     check: whether to refuse sensors that see different people.
     swarm: settings of the swarm; None: those of the method.
     """
@@ -69,7 +68,7 @@ class Fused:
 
     motion: the 15 common joints first, then the others of the set; without poses.
     shares: (T, 15, K) share of each sensor in each joint; of a swarm, the share in its population.
-    registration: of the sensors; with "published" that of the last frame.
+    registration: registration of the sensors; with "published" that of the last frame.
     lengths: (18,) m of joints.SKELETON_BONES, 0 where unknown.
     sensor_names: names of the K sensors.
     """
@@ -93,7 +92,8 @@ def fuse_clip(
 
     joints: one per frame, all of the same sensors and joint set.
     method: one of FUSION_METHODS.
-    registration: of the sensors; None: estimated robustly from the whole clip and all joints. "published" ignores it.
+    registration: registration of the sensors; None: estimated robustly from the whole clip and all joints. "published"
+        ignores it.
     watch: called after every frame with the number of frames fused.
     Returns: the fused motion with its sources; bone lengths are medians over the clip.
     Raises: InputError for an unknown method, for frames whose sensors or joints differ, for a clip without any joint,
@@ -270,7 +270,7 @@ def _with_rest(
             anchor = int(of.parent[anchor])
         at = common.get(anchor, jt.TORSO)
         offsets = world[:, :, j] - world[:, :, of.common[at]]
-        weights = np.where(np.isfinite(offsets[..., 0]), shares[:, at], 0.0) * confidence_of(states[:, :, j])
+        weights = np.where(np.isfinite(offsets[..., 0]), shares[:, at], 0.0) * states[:, :, j] / TRACKED
         total = weights.sum(1)
         mean = np.einsum("tk,tka->ta", weights, np.nan_to_num(offsets)) / np.maximum(total, 1e-300)[:, None]
         fused = np.where((total > 0)[:, None], joints[:, at] + mean, np.nan)
@@ -328,7 +328,7 @@ def _motion(
         provenance,
         error_probability=p,
         low_confidence_joints=low_confidence,
-        low_confidence=low_confidence.any(1),
+        low_confidence=np.asarray(low_confidence.any(1)),
         systematic_covariance=isotropic(known["systematic"][:, order]),
     )
 
@@ -336,7 +336,7 @@ def _motion(
 def _point_skeleton(joint_names: Sequence[str], parents: Sequence[int], lengths: Sequence[float]) -> Skeleton:
     """Make a skeleton that only names joints, for motions without poses: rigid, with six degrees of freedom.
 
-    joint_names: of all joints, the root first.
+    joint_names: names of all joints, the root first.
     parents: index of the parent of each joint, -1 for the root.
     lengths: m, of the bone from each joint but the root to its parent; at rest joints stand above each other by these.
     """

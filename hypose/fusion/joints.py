@@ -62,7 +62,7 @@ for the foot, the spine for the torso.
 class JointSet:
     """Joints that a type of sensor reports.
 
-    name: of the set.
+    name: name of the set.
     joint_names: (J,) as the SDK writes them.
     common: (15,) index of each common joint in the set.
     parent: (J,) index of the parent, -1 for the root.

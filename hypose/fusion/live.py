@@ -9,36 +9,22 @@ benchmarks run the same code.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorStatus
 from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
-from hypose.fusion.people import PeopleSettings, PeopleTracker, SeenPerson
+from hypose.fusion.people import PeopleTracker, SeenPerson
 from hypose.geometry import Array
-
-
-@dataclass(frozen=True)
-class LiveSettings:
-    """Settings of the live fusion.
-
-    align: of clocks, rates and output instants.
-    people: of identities and sensor positions.
-    fit: of the articulated fit of one skeleton.
-    """
-
-    align: AlignSettings = field(default_factory=AlignSettings)
-    people: PeopleSettings = field(default_factory=PeopleSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
 
 
 @dataclass(frozen=True)
 class LiveSkeleton:
     """One fused person in an output frame.
 
-    id: of the person.
+    id: identifier of the person.
     joints: (15, 3) m, joints.COMMON in the frame of the first sensor.
     sd: (15,) m per axis.
     sensors: names of the sensors that see the person now.
@@ -73,18 +59,16 @@ class LiveFrame:
 class LiveFuser:
     """Live fusion of the skeletons of several people from several sensors.
 
-    settings: of alignment, identities and fit.
+    settings: of the output instants.
 
     Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
     monotonic host clock.
     """
 
-    def __init__(self, settings: LiveSettings | None = None) -> None:
-        self.settings = settings or LiveSettings()
-        self.aligner = Aligner(self.settings.align)
-        self.people = PeopleTracker(self.settings.people)
+    def __init__(self, settings: AlignSettings | None = None) -> None:
+        self.aligner, self.people = Aligner(settings), PeopleTracker()
         self._states: dict[int, FitState] = {}
-        _warm_up(self.settings.fit)
+        _warm_up()
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
         """Add one report of one sensor; see `Aligner.push`."""
@@ -125,7 +109,7 @@ class LiveFuser:
         """Fuse one person at an instant.
 
         p: the person's skeletons.
-        names: of all sensors.
+        names: names of all sensors.
         now: s of the host's clock.
         """
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)
@@ -135,14 +119,16 @@ class LiveFuser:
                 positions[k], state[k] = p.placed[name], p.bodies[name].state
                 eyes[k] = self.people.transforms[name][:3, 3]
         before = self._states.get(p.id) or start_fit()
-        self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit, eyes)
+        self._states[p.id], estimate = fit_step(before, positions, state, now, FitSettings(), eyes)
         sd = np.sqrt(estimate.variance + estimate.systematic)
         return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
 
 
-def _warm_up(settings: FitSettings) -> None:
+def _warm_up() -> None:
     """Compile the code that a frame needs, so that the first frame is not late."""
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()
     for n in range(2):
-        state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, settings, np.zeros((1, 3)))
+        state, _ = fit_step(
+            state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, FitSettings(), np.zeros((1, 3))
+        )

@@ -32,7 +32,7 @@ class PeopleSettings:
     forget: time for which an unseen person is remembered.
     blind: further time for which persons are remembered while no sensor reports at all, so that a pause of the whole
         machine creates no new person.
-    window: of the skeletons from which a sensor is registered.
+    window: window of the skeletons from which a sensor is registered.
     note: time between two skeletons of that window.
     refit: time between two registrations of a sensor.
     attempt: time between two attempts to register an unregistered sensor.
@@ -121,7 +121,7 @@ class _Link:
 class PeopleTracker:
     """Tracker of persons over several sensors; call `update` for every instant in order.
 
-    settings: of the matching.
+    settings: settings of the matching.
     transforms: common_from_sensor (4, 4) by sensor name, of sensors whose position is known; these are not estimated.
     """
 
@@ -199,7 +199,7 @@ class PeopleTracker:
     def _match(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         """Assign the skeletons of one registered sensor to persons; those without a person become new ones.
 
-        name: of the sensor.
+        name: name of the sensor.
         bodies: its skeletons.
         now: s of the host's clock.
         """
@@ -321,7 +321,7 @@ class PeopleTracker:
     def _place(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         """Register a sensor, or refit its registration, where that is due.
 
-        name: of the sensor.
+        name: name of the sensor.
         bodies: its skeletons.
         now: s of the host's clock.
         """

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.losses import lorentzian_weight
 from hypose.errors import InputError
-from hypose.evidence.frame import INFERRED, TRACKED, SensorJoints
+from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, procrustes, transform
 
@@ -186,8 +186,8 @@ def check_same_person(positions: ArrayLike, registration: Registration, names: S
     point.
 
     positions: (T, K, 15, 3) m in the sensors' frames.
-    registration: of the sensors.
-    names: of the sensors, for the message.
+    registration: registration of the sensors.
+    names: names of the sensors, for the message.
     """
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
@@ -216,12 +216,6 @@ def check_same_person(positions: ArrayLike, registration: Registration, names: S
                 f"Sensors {names[0]!r} and {names[k]!r} do not seem to see the same person at the same time: {reason}; "
                 "choose the recordings of one person, or check that both clocks agree."
             )
-
-
-def confidence_of(state: ArrayLike, inferred: float = 0.5) -> Array:
-    """Return the weights of joint states (...): tracked 1, inferred `inferred`, not tracked 0."""
-    s = np.asarray(state)
-    return np.where(s == TRACKED, 1.0, np.where(s == INFERRED, inferred, 0.0))
 
 
 def upward(positions: ArrayLike) -> Array:

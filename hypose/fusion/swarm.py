@@ -96,7 +96,7 @@ class SwarmFrame:
     positions: (K, J, 3) m registered, NaN where missing.
     moved: (K, J, 3) m, change since each joint was last seen (0 where missing).
     weights: (K, J) = lambda^-power with the noise lambda of each joint, 0 where missing.
-    settings: of the swarm.
+    settings: settings of the swarm.
     """
 
     positions: Array
@@ -246,8 +246,8 @@ def swarm_step(
     state: memory of the frames before.
     positions: (K, J, 3) m registered, NaN where missing.
     noise: (K, J) noise lambda of each joint, 0..1.
-    heading: of the person, rad.
-    settings: of the swarm.
+    heading: heading of the person, rad.
+    settings: settings of the swarm.
     seed: the result depends on (seed, number of the frame) only.
     Returns: the new memory and the estimate; NaN for joints that no sensor has seen yet.
     """
@@ -327,7 +327,7 @@ def _placed(
     usable: (K, J) sensors around whose joint candidates are drawn.
     renew: (J,) joints of which candidates are drawn.
     count: number of candidates per joint.
-    radius: of the balls, m.
+    radius: radius of the balls, m.
     Returns: values (J, count, 3), log-weights -log(count), origins (the sensor of each).
     """
     joints = base.shape[1]

@@ -76,7 +76,7 @@ def detect_events(
     state: progress of the gestures before the frame.
     found: the best place of every gesture in the frame.
     time: s of the frame.
-    settings: of each gesture, in the order of their numbers.
+    settings: settings of each gesture, in the order of their numbers.
     Returns: the new progress, and the events of the frame.
     """
     watches, events = dict(state.watches), []

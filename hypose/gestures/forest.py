@@ -115,7 +115,7 @@ class GrowingForest:
     def new(settings: ForestSettings, rng: np.random.Generator) -> GrowingForest:
         """Make a forest that has learned nothing, whose trees have only roots.
 
-        settings: of its growth.
+        settings: settings of its growth.
         rng: gives each tree its own random numbers.
         """
         nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates

@@ -113,9 +113,9 @@ def localise(
     """Find the best place of every gesture in a depth picture.
 
     depth: (h, w) uint16 mm, 0 = hole.
-    lens: of the depth camera.
+    lens: lens parameters of the depth camera.
     forest_list: one forest per gesture.
-    settings: of the localisation.
+    settings: settings of the localisation.
     scratch: memory of one stream, to pass in every frame; it holds the density of the last frames (eq. 3.4).
     Returns: one place per gesture, in the order of the gestures.
     Raises: InputError where the forests do not fit each other.

@@ -40,7 +40,7 @@ class GestureModel:
     """Trained model of one gesture.
 
     name: of the gesture.
-    learner: the forest, and what is needed to continue its training.
+    learner: the forest, with the state from which its training continues.
     threshold: score (cm^2) from which the gesture counts as shown; None: not known yet.
     history: sessions that it was trained on, plain values.
     Raises: InputError where the name is not valid.

@@ -61,7 +61,7 @@ class Example:
     """One frame to learn from.
 
     depth: (h, w) uint16 mm, 0 = hole.
-    lens: of the depth camera.
+    lens: lens parameters of the depth camera.
     gesture: 1 where the gesture is shown, 0 for other movement.
     x, y: pixel of the gesture.
     """
@@ -185,7 +185,7 @@ class Learner:
         """Learn a frame in which the gesture is shown.
 
         depth: (h, w) uint16 mm, 0 = hole.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         x, y: pixel of the gesture.
         mine: whether to learn hard negatives elsewhere in the frame too.
         Returns: what was learned; None where no depth within the range of the scan is measured at that pixel.
@@ -210,7 +210,7 @@ class Learner:
         """Learn a frame in which the gesture is not shown.
 
         depth: (h, w) uint16 mm, 0 = hole.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         mine: True: hard negatives at the maximum and a few random ones; False: random ones only.
         Returns: what was learned.
         Deviations: a few random negatives accompany the hard ones; the number of hard ones is proportional to the
@@ -230,7 +230,7 @@ class Learner:
         """Pad a picture for learning.
 
         depth: (h, w) uint16 mm.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         look: whether to localise the gesture too.
         Returns: best place of the gesture; None where `look` is False.
         """
@@ -245,7 +245,7 @@ class Learner:
         """Learn hard negatives at a place where the forest finds the gesture although it is not there.
 
         depth: (h, w) uint16 mm.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         found: the place; the number of negatives is proportional to its score.
         Returns: number of pixels that were learned.
         """

@@ -99,7 +99,7 @@ class Session:
 class Instruction:
     """What to do in one frame.
 
-    phase: of the session.
+    phase: phase of the session.
     prompt: text to show to the person.
     left_s: time left in the phase, s; infinite in the test.
     learn: "gesture": learn the gesture in the box; "negative": learn negatives; None: learn nothing.
@@ -121,7 +121,7 @@ def advance(
     """Advance a session to a time, and carry out commands.
 
     session: state after the last frame.
-    settings: of the session.
+    settings: settings of the session.
     time: s.
     commands: "next": go to the next phase; "undo": undo the last learning segment; "pause" and "continue"; "again":
         start another round; "test": go to the test.
@@ -167,7 +167,7 @@ def update_maximum(session: Session, settings: SessionSettings, maximum: float) 
     """Add the forest's maximum in a frame to the moving average of the current phase (th+ or th-).
 
     session: state of the session; it is returned as it is outside of the learning phases and while paused.
-    settings: of the session.
+    settings: settings of the session.
     maximum: score of the best place, cm^2.
     Returns: the new state.
     """
@@ -203,7 +203,7 @@ def _enter(s: Session, phase: Phase, time: float) -> Session:
 class Feedback:
     """What to show for one frame.
 
-    instruction: of the session.
+    instruction: instruction of the session.
     box: (x, y) px, where the gesture is to be shown.
     taught: what was learned; None: nothing.
     found: best place of the gesture in the frame; None where it was not searched.
@@ -272,9 +272,9 @@ class Trainer:
 
         time: s.
         depth: (h, w) uint16 mm, 0 = hole.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         box: (x, y) px, where the gesture is to be shown.
-        commands: of the person since the last frame.
+        commands: commands of the person since the last frame.
         learn: False: the forest does not learn the frame (to test the forest on it, or because it was learned before).
         Returns: what to show.
         """
@@ -305,7 +305,7 @@ class Trainer:
 
         kind: whether the frame shows the gesture or other movement.
         depth: (h, w) uint16 mm, 0 = hole.
-        lens: of the depth camera.
+        lens: lens parameters of the depth camera.
         at: (x, y) px of the gesture.
         mine: whether to learn hard negatives.
         Returns: what was learned; None where no usable depth is at the pixel. Forest, moving averages and the data of

@@ -110,7 +110,7 @@ class Recovery:
 class Recipe:
     """Whole method as one value; the defaults describe a plain particle filter.
 
-    name: of the method.
+    name: name of the method.
     layers: turns of propagate, weigh, resample, one after the other.
     particles: number of hypotheses N.
     needs: kinds of evidence that the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).

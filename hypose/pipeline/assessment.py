@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.calibration.findings import INFO, INVALID, REVIEW, Finding
+from hypose.errors import InputError
+from hypose.io.files import read_json
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.input_checks import sentences
 from hypose.pipeline.settings import SETTINGS
@@ -36,8 +39,7 @@ class Assessment:
 
     word: GOOD, LOOK or UNTRUSTED.
     findings: reasons for it, and remarks.
-    frames: ranges of rows of the motion to review; of a good result those of low confidence.
-    """
+    frames: ranges of rows of the motion to review; for a good result, the ranges of rows of low confidence."""
 
     word: str
     findings: tuple[Finding, ...] = ()
@@ -97,6 +99,14 @@ class Assessment:
         return Assessment(str(kept["assessment"]), tuple(map(Finding.of_document, kept["findings"])), frames)
 
 
+def load_assessment(folder: Path) -> Assessment | None:
+    """Load assessment.json of a results folder; None where it is missing or damaged."""
+    try:
+        return Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
+    except (InputError, ValueError, KeyError, TypeError):
+        return None
+
+
 def not_shown(joints: Sequence[str]) -> Finding:
     """Make the remark that names the joints for which the key-point set has no point.
 
@@ -127,12 +137,12 @@ def assess(
 ) -> Assessment:
     """Assess a motion as good, to be reviewed, or not to be trusted.
 
-    findings: what the checks before tracking and the passes found about the whole motion.
+    findings: findings about the whole motion, from the checks before tracking and from the passes.
     cure: next step for the user where too many joints are likely wrong; None: a general one.
     most_lost: share of frames without the person above which the motion is not to be trusted.
-    Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding is
-        INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise.
-    """
+    Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding
+        is
+        INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise."""
     found, gone = list(findings), motion.lost | motion.extrapolated
     looks = any(f.severity == REVIEW for f in findings)
     if gone.mean() > most_lost:

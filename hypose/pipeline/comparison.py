@@ -47,13 +47,12 @@ _CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee"
 
 @dataclass(frozen=True)
 class OtherMotion:
-    """Motion read from a file of any program, to compare with.
+    """Motion read from a file of any program, with which a motion of hypose is compared.
 
     times: (T,) s.
     points: (T, 3) m by joint name, NaN where not seen.
     angles: (T,) rad or m by OpenSim's name.
-    notes: sentences on what was left out.
-    """
+    notes: sentences on what was left out."""
 
     path: Path
     times: Array
@@ -168,15 +167,15 @@ class Agreement:
     """Agreement of one joint (mm) or one angle (degrees; mm for positions) between both motions.
 
     n: number of frames.
-    median, p95, rmse: of the distance; for angles of the absolute difference.
+    median, p95, rmse: median, 95th percentile and root mean square of the distance; for angles of the absolute
+        difference.
     offset: length of the constant part.
     median_left, p95_left, rmse_left: the same without the constant part.
-    bias, low, high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), after
-        the rigid alignment, with the constant part.
+    bias, low, high: mean difference (other - ours), and lower and upper limit of agreement (Bland-Altman) per axis
+        (1 for angles, 3 for joints), after the rigid alignment, with the constant part.
     r: Pearson's correlation per axis.
     covered: share of frames in which the other lies in our confidence region, per level of SETTINGS.compare_levels,
-        after the constant part; NaN where we have no region.
-    """
+        after the constant part; NaN where we have no region."""
 
     name: str
     unit: str
@@ -197,15 +196,15 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of a comparison.
+    """Result of the comparison of our motion with another one.
 
     times: (T,) our times, s.
     offset: seconds that were added to the other's times.
     ours_from_other: (4, 4) rigid transform.
     joints, angles: agreements.
-    errors: (T, J) distances after the offsets, mm; NaN where not compared.
-    notes: sentences for the user.
-    """
+    errors: (T, J) distances of the joints after the constant offset of each joint is removed, mm; NaN where not
+        compared.
+    notes: sentences for the user."""
 
     times: Array
     offset: float
@@ -506,7 +505,7 @@ def _agreement(
 ) -> Agreement | None:
     """Compute the agreement of one joint or angle; None with fewer than three frames in common.
 
-    name, unit: of the joint or angle.
+    name, unit: name and unit of the joint or angle.
     mine, theirs: (T, D) in that unit, NaN where not known.
     constant: (T, D) constant part of theirs - mine.
     covered: share of frames in the confidence region, per level.
@@ -568,15 +567,21 @@ class Truth:
 
 
 def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], Truth]:
-    """Make a function that compares a motion, whose row 0 is frame `first`, with the truth in a truth.npz."""
+    """Make a function of a motion and its body that compares the motion with the true motion of a synthetic
+    recording.
+
+    path: file truth.npz.
+    first: frame of the recording that is row 0 of the motion."""
     return lambda motion, body: compare_with_truth(path, motion, first)
 
 
 def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Truth:
-    """Compare a motion, whose row 0 is frame `first`, with the truth in a truth.npz.
+    """Compare a motion with the true motion of a synthetic recording.
 
-    Raises: InputError where the file is no truth of hypose, or the motion has no poses.
-    """
+    path: file truth.npz.
+    first: frame of the recording that is row 0 of the motion.
+
+    Raises: InputError where the file is no truth of hypose, or the motion has no poses."""
     path = Path(path)
     step = "make the recording again"
     data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)

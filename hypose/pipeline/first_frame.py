@@ -79,15 +79,15 @@ class SubjectOptions:
     """Options of finding the subject.
 
     start: 'auto', 'keypoints', 'hull' or the name of a known pose.
-    height: m; None: from key points or the visual hull.
+    height: height of the person, m; None: estimated from key points or the visual hull.
     girths: fit girths to the silhouettes where the body comes from key points.
     body: the template; with `known` the subject's own body.
     frame_rate: Hz.
-    seed: of random numbers.
+    seed: seed of random numbers.
     known: the body is kept, and only the start pose is searched.
-    shared: the masks also show other people, see `best_ways`.
-    tried: frame numbers and starts that may be right, see `best_ways`.
-    """
+    shared: the masks also show other people; then starts of several frames are compared by tracking them through all
+        frames.
+    tried: further starts that may be right, each with its frame number."""
 
     start: str = "auto"
     height: float | None = None
@@ -109,10 +109,11 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
     """Find body and start pose of the subject from the frames of a recording.
 
     With key points: lengths and start from their robust triangulation, girths from the silhouettes.
-    Without: start in a known pose at the visual hull; then lengths, girths and clothes from the silhouettes of the
-        first seconds.
-    Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found.
-    """
+    Without key points: start in a known pose at the visual hull; then lengths, girths and clothes from the
+        silhouettes of the first seconds.
+    frame_at: function that reads a frame by its number.
+    n_frames: number of frames.
+    Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found."""
     template = options.body or human()
     sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
     first = frame_at(0)

@@ -36,11 +36,10 @@ def looked_at(
     last: Frame | None,
     change: NDArray[np.float32] | None = None,
 ) -> FrameEstimate:
-    """Add statistics of the views and the features of the error model to a frame's estimate.
+    """Return a frame's estimate with statistics of the views and features of the error model added.
 
-    last: frame before.
-    change: result of `mask_change`, where known from masks of several people; None: it is computed.
-    """
+    last: the frame before; None: there is none.
+    change: result of `mask_change`, where known from masks of several people; None: it is computed."""
     seen = view_statistics(estimate, tracker.body, frame, last, change)
     views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
     if views < frame.fewest_views:  # one camera's other poses are judged otherwise
@@ -75,9 +74,8 @@ def view_statistics(
     Column 1: change of the mask since the frame before, see `mask_change`.
     Column 2: unexplained part of the mask, see `unexplained_share`.
     last: frame before.
-    change: column 1 where already known.
-    Returns: (0, 3) without silhouettes.
-    """
+    change: column 1 where already known; None: it is computed.
+    Returns: (0, 3) without silhouettes."""
     out, change = np.zeros((0, 3), np.float32), mask_change(frame, last) if change is None else change
     for silhouettes in frame.of(Silhouettes):
         out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
@@ -121,7 +119,8 @@ def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple
     table = np.stack(seen).astype(np.float64)
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
-    names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
+    count = table.shape[1]
+    names = [f"camera {v}" for v in views] if len(views) == count else [f"view {c + 1}" for c in range(count)]
     return _marked(motion, find_anomalies(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
 
 
@@ -172,7 +171,7 @@ def find_anomalies(
     overlap, change, others: (T, C) columns of `view_statistics`.
     known: (T,) frames in which the person was found.
     frame_rate: Hz.
-    names: of the views.
+    names: names of the views.
     Returns: description and frames (T,) of each anomaly.
     """
     overlap, change = np.asarray(overlap, dtype=np.float64), np.asarray(change, dtype=np.float64)
@@ -194,10 +193,6 @@ def find_anomalies(
     doubted = np.any([frames for _, frames in out], axis=0)
     out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
-
-
-def _numbered(count: int) -> list[str]:
-    return [f"view {c + 1}" for c in range(count)]
 
 
 def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:
@@ -306,21 +301,19 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
 
 
 def in_words(found: Sequence[range]) -> str:
-    """Return ranges of frames as text, at most five: 'frames 10-19, 40'."""
+    """Write ranges of frames as text such as 'frames 10-19, 40'; at most five ranges are named."""
     shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"
 
 
 def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[Finding, ...]:
-    """Find what speaks against a clip as a whole: views that contradict each other, and masks that are larger than the
-    body.
+    """Find faults of a clip as a whole: views that contradict each other, and masks that are larger than the body.
 
     audit: (T, J, A) features of the error model.
     n_views: (T,) number of views.
     evidence: kind of evidence; only 'silhouettes' is checked. Why: key points show where limbs are and which view is
-        wrong.
-    """
+        wrong."""
     if evidence != "silhouettes":
         return ()
     found, beyond = list[Finding](), beyond_usual(audit, evidence)

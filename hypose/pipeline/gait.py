@@ -51,13 +51,12 @@ class GaitEvent:
 class GaitStep:
     """Step from the other foot's strike to this foot's strike.
 
-    side: of the foot that strikes.
-    time: of the strike, s.
+    side: side of the foot that strikes.
+    time: time of the strike, s.
     duration: s.
     length, width: between the heels along and across the facing direction, m.
     duration_sd, length_sd, width_sd: standard deviations.
-    double_support: time with both feet on the ground, s; NaN where not known.
-    """
+    double_support: time of the step with both feet on the ground, s; NaN where not known."""
 
     side: str
     time: float
@@ -90,7 +89,11 @@ class GaitFigure:
 
 @dataclass(frozen=True)
 class Gait:
-    """Gait of a motion: events and steps in the order of time, and the figures of all steps."""
+    """Gait of a motion.
+
+    events: strikes and lifts of the feet, in the order of time.
+    steps: steps, in the order of time.
+    figures: mean of each gait parameter over all steps."""
 
     events: tuple[GaitEvent, ...]
     steps: tuple[GaitStep, ...]
@@ -153,15 +156,14 @@ def facing_of(rotations: Array, rate: float) -> Array:
 def turns(
     series: Array, times: Array, sd: Array, rate: float, known: NDArray[np.bool_]
 ) -> list[tuple[float, float, int]]:
-    """Find the maxima of a series with their times refined by a parabola.
+    """Find the maxima of a series of values over time; the time of each is refined by a parabola.
 
     series: (T,) m.
     times: (T,) s.
     sd: (T,) standard deviation of the series, m.
     rate: Hz.
     known: (T,) frames next to unknown ones give no maximum.
-    Returns: time s, its standard deviation s, and frame of each maximum.
-    """
+    Returns: time s, its standard deviation s, and frame of each maximum."""
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
     from scipy.signal import find_peaks  # takes long to import
 

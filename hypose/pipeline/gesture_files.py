@@ -60,9 +60,10 @@ def load_model(path: str | Path) -> GestureModel:
 
 
 def content_of(folder: Path) -> str:
-    """Compute an identity of a session from its first pictures: their hash, independent of the folder's name; "" where
-    there are none.
-    """
+    """Compute the hash of a session's first pictures, which identifies the session whatever its folder is called.
+
+    folder: folder of the session.
+    Returns: hash as text; "" where there are no pictures."""
     pictures = list_images(folder / "depth")[: SETTINGS.gesture_telling] if (folder / "depth").is_dir() else []
     digest = hashlib.sha256()
     for picture in pictures:
@@ -72,7 +73,15 @@ def content_of(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """One depth picture of a recording: its file and its use; fields are the columns of frames.csv."""
+    """One depth picture of a gesture session, as a row of frames.csv.
+
+    index: number of the picture.
+    time: s.
+    file: its file.
+    phase: phase of the session.
+    segment: number of the learning segment.
+    gesture: number of the gesture that the person does, 0 for other movement.
+    x, y: pixel at which the gesture is done; negative where not known."""
 
     index: int
     time: float
@@ -283,7 +292,13 @@ class SessionWriter:
         gesture: int = 0,
         at: tuple[float, float] = (-1.0, -1.0),
     ) -> None:
-        """Add one picture (h, w), uint16 mm, taken at `time` (s), with its use (see frames.csv)."""
+        """Add one depth picture.
+
+        time: time at which it was taken, s.
+        depth: (h, w) uint16 mm.
+        phase, segment: phase of the session, and number of the learning segment.
+        gesture: number of the gesture that the person does, 0 for other movement.
+        at: (x, y) pixel at which the gesture is done; (-1, -1): not known."""
         file = f"depth/{self._count:06d}.png"
         row = f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
         self._settle(SETTINGS.gesture_waiting - 1)

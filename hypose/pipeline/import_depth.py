@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import (
@@ -63,7 +62,7 @@ def import_depth(
     empty: recordings of the empty room in the same order, or none.
     frame_rate: Hz of folders of maps, which do not contain it; None: 30 Hz.
     millimetres: millimetres per step of a value, of folders of maps.
-    seed: of random numbers.
+    seed: seed of random numbers.
     progress: called with stage, done, total.
     Returns: path of recording.toml, and sentences for the user.
     Raises: InputError names the input that cannot be used; then, and after an interruption, the folder is left as it
@@ -321,13 +320,11 @@ class RegisteredSensors:
 
     rig: cameras in the world of the first.
     seconds: (C,) to add to each camera's times, s.
-    body: the person's body.
     rough: first alignment of each of the other cameras.
     """
 
     rig: CameraRig
     seconds: Array
-    body: Body
     rough: tuple[CoarseAlignment, ...]
 
 
@@ -375,25 +372,23 @@ def register_depth(
         + [c.camera_from_world @ se3_inverse(r.a_from_b) for c, r in zip(alone[1:], rough, strict=True)]
     )
     paired = _pairs(times, seconds, frame_rate)
-    body = human()
     for n in range(SETTINGS.placing_rounds):
         report("together", n, SETTINGS.placing_rounds)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
         how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
         estimate = estimate_subject(lambda i, f=frames: f[i], len(frames), frame_rate, human(), how)
-        body = estimate.body
-        subject = TrackedSubject(body, None, estimate.start, ())
+        subject = TrackedSubject(estimate.body, None, estimate.start, ())
         source = FrameList(frames, frame_rate)
         tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
         poses = tracked.poses
         assert poses is not None
-        chosen = different_poses(body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
+        chosen = different_poses(estimate.body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
         seen = [[_surface(clips[k][paired[t][k]]) for t in chosen] for k in range(len(clips))]
-        cameras = refine_registration(body, poses[chosen], seen, cameras)
+        cameras = refine_registration(estimate.body, poses[chosen], seen, cameras)
     report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
-    return RegisteredSensors(rig, seconds, body, tuple(rough))
+    return RegisteredSensors(rig, seconds, tuple(rough))
 
 
 @contextmanager

@@ -13,21 +13,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
-from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
+from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
 from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
 from hypose.calibration.diagnostics import gross_silhouettes
 from hypose.calibration.findings import INVALID, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
-from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
-from hypose.errors import EvidenceError, HyposeError
+from hypose.cameras.camera import PARALLEL, widest_angle
+from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList, FrameSource
-from hypose.tracking.subject import shape_from_keypoints
 
 
 def check_inputs(
@@ -36,7 +34,7 @@ def check_inputs(
     """Check the calibration and the key points of a source for gross faults; nothing is checked with one camera.
 
     evidence: evidence that will be tracked from.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     frame_rate: Hz.
     """
     rows, frames = _rows(len(source)), _some(source)
@@ -83,7 +81,9 @@ def _rows(total: int) -> NDArray[np.int64]:
 
 
 def of_measured(stature: float) -> tuple[Finding, ...]:
-    """Check whether the height (m) of a person measured from masks or depth is plausible."""
+    """Check whether a height (m) that was measured from masks or depth is plausible for a person.
+
+    Returns: one finding where it is not; empty otherwise."""
     return tuple(height_findings(stature, None, Limits()))
 
 
@@ -128,8 +128,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
     flat = pixels.reshape(len(rig), -1, 3)
     seen = np.where(flat[..., 2] > 0.3, flat[..., 2], 0.0)
-    points, views = triangulate(rig, flat[..., :2], seen)
-    parallel = (widest_angle(rig, flat[..., :2], seen) < PARALLEL)[views > 1]
+    parallel = (widest_angle(rig, flat[..., :2], seen) < PARALLEL)[(seen > 0).sum(0) > 1]
     if len(parallel) and parallel.mean() > SETTINGS.look_most_parallel:
         text = (
             "All cameras: they stand side by side, or face each other: how far away "
@@ -137,21 +136,12 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
         )
         yield Finding("parallel", (), text, "add a camera that looks from the side", 1.0)
         return
-    world = points.reshape(*pixels.shape[1:3], 3)
-    other = wrong_set(world, names)
-    if other is not None and (agreed or "keypoint_set = " in other.cure):
-        yield other
-    if other is not None or not agreed:
-        return  # nothing else can be checked with wrong names or contradicting points
-    yield from wrong_way_up(world, names, pixels, rig)
-    if rig is keypoints[0].rig:  # nothing else was wrong
+    person = list(person_findings(rig, pixels, names, height, o))
+    if not agreed:  # of contradicting points, only the set of key points can be known
+        person = [f for f in person if f.kind == "keypoint_set" and "keypoint_set = " in f.cure]
+    elif rig is keypoints[0].rig and not any(f.kind == "keypoint_set" for f in person):  # nothing else was wrong
         yield from focal_findings(focal_by_points(rig, pixels))
-    try:
-        tall = float(shape_from_keypoints(human(), world, names).scale) * human().stature
-    except EvidenceError:
-        return
-    if np.isfinite(tall):
-        yield from height_findings(tall, height, o)
+    yield from person
 
 
 def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:

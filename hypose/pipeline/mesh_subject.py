@@ -60,10 +60,11 @@ class MeshSubject:
 def subject_from_mesh(
     mesh: str | Path, out: str | Path, *, unit: str = "m", height: float | None = None
 ) -> MeshSubject:
-    """Rig a mesh file and write out/body.npz, like `hypose subject --mesh`.
+    """Rig a person's mesh file, and write the body to out/body.npz, like `hypose subject --mesh`.
 
-    unit, height: as for `rig_mesh`.
-    """
+    unit: unit of the coordinates: m, dm, cm, mm, in or ft.
+    height: stature (arms down), m, to which the person is scaled; None: the unit counts.
+    Returns: the body and its pose in the scan."""
     subject = rig_mesh(mesh, unit=unit, height=height)
     save_body(subject.body, Path(out) / "body.npz")
     return subject
@@ -73,7 +74,7 @@ def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: f
     """Rig a person's mesh; joints and weights of a skinned file are kept.
 
     mesh: file (OBJ, PLY, STL, GLB, SMPL npz) or mesh in memory.
-    unit: of the coordinates: m, dm, cm, mm, in or ft.
+    unit: unit of the coordinates: m, dm, cm, mm, in or ft.
     height: stature (arms down), m; scales the person whatever the unit.
     Raises: InputError names the cause (open surface, in parts, unit, pose) and the next step.
     """
@@ -138,11 +139,8 @@ def _assembled(
     rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
     for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
-        index, value = influences(w)
-        dense = np.zeros((len(v), w.shape[1]))
-        for k in range(4):
-            np.add.at(dense, (np.arange(len(v)), index[:, k]), value[:, k])
-        meshes.append(Mesh(unposed(frame, pose, v, dense), np.asarray(f, dtype=np.int32), index, value))
+        posed = Mesh(v, np.asarray(f, dtype=np.int32), *influences(w))
+        meshes.append(replace(posed, vertices=unposed(frame, pose, v, posed.dense_weights(w.shape[1]))))
     name = text_of(Path(person.source).stem) if person.source != "The mesh" else "own body"
     return Body(name, frame.skeleton, meshes[0], meshes[1], frame.landmarks)
 

@@ -149,10 +149,10 @@ class PictureFrames:
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
-    """Return the sentence that says how uncertain the depth is, in mm, and how many other poses are possible.
+    """Write a note for the user: how uncertain the depth of the joints is, in mm, and how many other poses are
+        possible.
 
-    motion, modes: the result, and the alternative poses of its frames.
-    """
+    motion, modes: the result, and the alternative poses of its frames."""
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
@@ -198,15 +198,15 @@ def tracked_frames(
 
 
 class ColourDetections:
-    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without names).
+    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without
+    names).
 
     The skin colours are learned from the first frame, whose pose is known. A frame depends on the recording and that
     pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
     masks.
     source: frames of the recording.
-    body, start: the person, and its pose (D,) in the first frame.
-    Raises: InputError where the pictures are grey, or the frames have no masks.
-    """
+    body, start: body of the person, and its pose (D,) in the first frame.
+    Raises: InputError where the pictures are grey, or the frames have no masks."""
 
     def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -308,7 +308,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
 def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
     """Check one click of a file and return it as (u, v), px.
 
-    path: of the file, for messages.
+    path: path of the file, for messages.
     name, at: joint and its value in the file.
     size: (width, height) of the picture.
     Raises: InputError where the joint does not exist, or its place is not two numbers inside the picture.
@@ -553,7 +553,7 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     person's size in the picture from those of a posed body.
 
     pose: (D,).
-    keypoints: of one camera.
+    keypoints: key points of one camera.
     Returns: 0 to 1; NaN where fewer than four key points of the limbs are seen.
     """
     points = np.nan_to_num(keypoints.points[0])
@@ -572,7 +572,7 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
     times the longer side of its box; joints outside the picture do not count.
 
     pose: (D,).
-    silhouettes: of one camera.
+    silhouettes: silhouettes of one camera.
     Returns: 0 to 1; NaN without a mask, or with no joint in the picture.
     """
     w, h = silhouettes.rig[0].size

@@ -29,8 +29,7 @@ from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
 from hypose.inference.layer import Memory, Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
-from hypose.pipeline import backward_pass as backwards
-from hypose.pipeline import input_checks, left_right
+from hypose.pipeline import input_checks
 from hypose.pipeline.assessment import not_shown, other_people_note
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
@@ -44,14 +43,22 @@ from hypose.pipeline.one_camera import (
     tracked_frames,
 )
 from hypose.pipeline.people import PeopleFinder
+from hypose.pipeline.retracking import (
+    backward_pass,
+    backward_pass_notes,
+    correct_left_right,
+    left_right_notes,
+    retrack_start,
+    start_notes,
+)
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.trace import Change, list_changes, with_trace
 from hypose.pipeline.track_loop import (
     Deferred,
-    Followed,
     FrameSource,
     StageProgress,
+    TrackedPerson,
     TrackingSession,
     tracker_of,
 )
@@ -104,7 +111,7 @@ class ClipState:
     people: their state after the frames that are tracked; empty before `find_people`. In the passes `AFTER_TRACKING`
         the clip is of one person.
     given: the caller gave the subject and its start pose.
-    coming: possible people who are not tracked at the end, see `TrackingSession`.
+    candidates: possible people who are not tracked at the end, see `TrackingSession`.
     complete: every frame was tracked.
     error: what ended tracking after some frames.
     motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
@@ -132,9 +139,9 @@ class ClipState:
     finder: PeopleFinder | None = None
     shared_masks: bool = False
     progress: StageProgress = lambda stage, done, total: None
-    people: tuple[Followed, ...] = ()
+    people: tuple[TrackedPerson, ...] = ()
     given: bool = False
-    coming: Sequence[Array] = ()
+    candidates: Sequence[Array] = ()
     complete: bool = True
     error: HyposeError | None = None
     motion: Motion | None = None
@@ -148,13 +155,13 @@ class ClipState:
     trace: tuple[Change, ...] = ()
 
     @property
-    def person(self) -> Followed:
+    def person(self) -> TrackedPerson:
         """State of the one person, or of the first of several; only after `find_people` has run."""
         return self.people[0]
 
     @property
     def who(self) -> TrackedSubject:
-        """The subject; only after `find_people` has run."""
+        """Body and start pose of the person, or of the first of several; only after `find_people` has run."""
         return self.person.subject
 
     @property
@@ -169,7 +176,7 @@ class ClipState:
 
     @property
     def memory(self) -> Memory:
-        """What the recipe has learned about the person."""
+        """Arrays by name that the recipe has learned about the person."""
         return self.person.member.state.memory
 
     @property
@@ -179,7 +186,7 @@ class ClipState:
 
     @property
     def joints(self) -> Array | None:
-        """(T, J, 3) m: the current joint positions; None before tracking."""
+        """Joint positions (T, J, 3), m, world, after the passes that have run; None before tracking."""
         if self.motion is not None:
             return self.motion.joints
         if not self.estimates:
@@ -204,10 +211,9 @@ Pass = Callable[[ClipState], ClipState]
 
 
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
-    """Run one pass, and record in the trace which joints it moved.
+    """Run one pass (a step of the run over the whole clip), and record in the trace which joints it moved.
 
-    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
-    """
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others."""
     reason, begin = REASONS.get(step.__name__), time.perf_counter()
     before = None if reason is None else clip.joints
     after = step(clip)
@@ -261,7 +267,7 @@ def find_people(clip: ClipState) -> ClipState:
         clip.progress("subject", 1, 1)
         if session.checkpoint is not None:  # what was found is kept before the first frame
             session.save(session.checkpoint)
-    clip = replace(clip, people=tuple(session.people), coming=session.coming)
+    clip = replace(clip, people=tuple(session.people), candidates=session.candidates)
     if clip.results is not None and not clip.folders:
         save_body(clip.who.body, clip.results.file("body.npz"))  # an interrupted run can be viewed
     return replace(clip, notes=(*clip.notes, *clip.who.notes))
@@ -276,17 +282,17 @@ def _session(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
     held = Deferred(clip.progress)
     return TrackingSession(
-        list(clip.people), clip.frame_rate, clip.finder, path, held=held, coming=list(clip.coming), **about
+        list(clip.people), clip.frame_rate, clip.finder, path, held=held, candidates=list(clip.candidates), **about
     )
 
 
-def _found(clip: ClipState) -> tuple[Followed, ...]:
+def _found(clip: ClipState) -> tuple[TrackedPerson, ...]:
     """Find the people of a clip at its beginning."""
     try:
         if clip.finder is not None:
             return tuple(clip.finder.begin())
         subject = _subject(clip)
-        return (Followed.at_start("", subject, _tracker(clip, subject)),)
+        return (TrackedPerson.at_start("", subject, _tracker(clip, subject)),)
     except HyposeError as error:
         masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
         guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
@@ -336,7 +342,7 @@ def _track(clip: ClipState, session: TrackingSession) -> ClipState:
     with contextlib.closing(frames):
         error = session.track(frames, last, len(source), clip.progress)
     complete = session.done == len(source) and not session.stopped
-    return replace(clip, people=tuple(session.people), coming=session.coming, complete=complete, error=error)
+    return replace(clip, people=tuple(session.people), candidates=session.candidates, complete=complete, error=error)
 
 
 def _solve_keypoints(clip: ClipState) -> ClipState:
@@ -385,7 +391,7 @@ def place_sensors(clip: ClipState) -> ClipState:
     if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
         subject = _subject(clip)
         clip = replace(clip, notes=subject.notes)
-    clip = replace(clip, people=(Followed.at_start("", subject, _tracker(clip, subject)),))
+    clip = replace(clip, people=(TrackedPerson.at_start("", subject, _tracker(clip, subject)),))
     return _track(clip, _session(clip, checkpoint=False))
 
 
@@ -415,11 +421,12 @@ def check_height(clip: ClipState) -> ClipState:
 
 
 def clips_of_people(clip: ClipState) -> list[ClipState]:
-    """Make a clip of each person whose result is wanted; the others hide what they cover in its frames."""
+    """Split a clip of several people into one clip per person whose result is wanted; in its frames, the pixels that
+    other people cover are ignored."""
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
-    for p in (p for p in clip.people if p.asked_for):
+    for p in (p for p in clip.people if p.requested):
         frames, own = clip.finder.own_clip(p, clip.people)
         shared, results = len(clip.people) > 1 and p.present[0], clip.results
         if results is not None and clip.folders:
@@ -430,7 +437,8 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
 
 
 def trace_searches(clip: ClipState) -> ClipState:
-    """Record where a frame's search put joints elsewhere than the solve from the predicted pose."""
+    """Record in the trace the frames in which the search moved joints away from the solution that starts at the
+    predicted pose."""
     estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
@@ -446,19 +454,19 @@ def correct_sides(clip: ClipState) -> ClipState:
         return clip
     clip.progress("sides", 0, 1)
     sure = clip.options.sure_start
-    estimates, exchanged = left_right.correct_left_right(
+    estimates, exchanged = correct_left_right(
         clip.tracker, clip.estimates, clip.frames, sure_start=sure, memory=clip.memory
     )
     clip.progress("sides", 1, 1)
-    return clip.with_estimates(estimates, left_right.left_right_notes(exchanged))
+    return clip.with_estimates(estimates, left_right_notes(exchanged))
 
 
 def correct_beginning(clip: ClipState) -> ClipState:
     """Track the first frames backwards from a frame in which the person was found, where the masks also show others."""
     if not clip.estimates or not clip.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
-    estimates, retracked = left_right.retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
-    return clip.with_estimates(estimates, left_right.start_notes(retracked))
+    estimates, retracked = retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
+    return clip.with_estimates(estimates, start_notes(retracked))
 
 
 def track_backwards(clip: ClipState) -> ClipState:
@@ -466,11 +474,9 @@ def track_backwards(clip: ClipState) -> ClipState:
     if not clip.estimates or not clip.smooths:
         return clip
     progress = partial(clip.progress, "both ways")
-    estimates, moved = backwards.backward_pass(
-        clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress
-    )
+    estimates, moved = backward_pass(clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress)
     progress(len(estimates), len(estimates))
-    return clip.with_estimates(estimates, backwards.backward_pass_notes(moved))
+    return clip.with_estimates(estimates, backward_pass_notes(moved))
 
 
 def to_motion(clip: ClipState) -> ClipState:
@@ -569,9 +575,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 
 def mark_absence(clip: ClipState) -> ClipState:
-    """Mark the frames in which the person is absent as lost, and those in which others hide the person as frames of low
-    confidence.
-    """
+    """Mark the frames in which the person is absent as lost, and the frames in which others hide the person as
+    frames of low confidence."""
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
     if motion is None or not clip.estimates:
         return clip

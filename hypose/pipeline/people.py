@@ -3,37 +3,50 @@
 People are found where no tracked body explains the visual hull (`hypose.evidence.hull_people`), in the first frames and
 repeatedly later. Each has a tracker of their own (`hypose.tracking.several`). After tracking, each has a clip of their
 own (`OwnFrames`), in which the bodies of the others hide what they cover.
+
+Bodies of people who hide each other: hulls of people near each other merge, so which part hides a person is a guess,
+and only arms and feet show front and back. So each person is first tracked with the template, scaled to their size, on
+what the others' hulls leave (`rough_bodies`). Then bodies are fitted on what the others' rough bodies leave, and once
+more when all bodies are known (`fitted_again`).
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hypose.body.anthropometry import prior_mean
+from hypose.body.body import Body
 from hypose.body.default_body import human
+from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence import depth_people
+from hypose.evidence.cues import surface_evidence
+from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.person_paths import (
     KeypointPeople,
+    KnownPerson,
     Path,
-    Wanted,
     follow_places,
     lasting,
     names_at_places,
 )
-from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, TrackingSession, tracker_of
+from hypose.pipeline.start_choice import best_ways, way_of
+from hypose.pipeline.subject_from_motion import different_poses
+from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_management import (
     back_again,
     birth_candidates,
@@ -46,7 +59,229 @@ from hypose.pipeline.track_management import (
     without_doubles,
 )
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.several import Member, shape_of
+from hypose.tracking.frame_evidence import mean_overlap, prepare
+from hypose.tracking.refinement import refine
+from hypose.tracking.several import Member, shape_of, step_together
+from hypose.tracking.shape_refinement import Known, refine_shape
+from hypose.tracking.start_search import Start
+from hypose.tracking.tracker import FrameEstimate
+
+
+@dataclass(frozen=True)
+class RoughTrack:
+    """Rough track of one person.
+
+    body: body that was used.
+    poses: (D,) by frame number.
+    rivals: other possible starts with their frame numbers.
+    """
+
+    body: Body
+    poses: Mapping[int, Array]
+    rivals: tuple[tuple[int, Start], ...] = ()
+
+    def other(self, number: int, rig: CameraRig) -> Other | None:
+        """Return what this person hides from the views in a frame; None where the pose is not known."""
+        pose = self.poses.get(number)
+        return None if pose is None else Other(shape_of(self.body, pose, rig), SETTINGS.path_others_widened)
+
+    def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
+        """Return the start in the first of the frames `numbers` and the rivals, each with an index into `numbers`."""
+        first = Start(self.body, self.poses[numbers[0]], np.inf)
+        near = [(int(np.abs(np.array(numbers) - t).argmin()), s) for t, s in self.rivals]
+        return (0, first), *near
+
+
+def frame_of_person(
+    frame: Frame, number: int, who: int, paths: Sequence[Path], rough: Sequence[RoughTrack | None] | None = None
+) -> Frame:
+    """Return frame `number` as evidence for one of the people on paths; what the others hide is left out.
+
+    The others are known by their rough bodies, else by their hulls.
+    """
+    s = frame.silhouettes
+    if s is None:
+        return frame
+    here = paths[who].found.get(number)
+    if here is None:
+        return frame.unseen()
+    others = [
+        other
+        for k, p in enumerate(paths)
+        if k != who and (other := _hiding(None if rough is None else rough[k], p.found.get(number), number, s.rig))
+    ]
+    return depth_people.own_frame(frame, here.shape(s.rig), others)
+
+
+def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
+    known = None if rough is None else rough.other(number, rig)
+    return known or (
+        None if hull is None else Other(hull.shape(rig, SETTINGS.path_core_m), SETTINGS.path_others_widened)
+    )
+
+
+def least_hidden(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
+    """Select the frames in which all views but one see a person well; where these are few, the least hidden ones.
+
+    shares: by frame number, the visible share of the person in each view (C,).
+    """
+    numbers = sorted(shares)
+    share = np.array([np.sort(shares[t]) for t in numbers])
+    if not share.size:
+        return numbers
+    good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > SETTINGS.rough_hidden)
+    if len(good) < SETTINGS.rough_few_seen:
+        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_few_seen])
+    return [numbers[k] for k in good]
+
+
+def rough_bodies(
+    frame_at: Callable[[int], Frame],
+    numbers: Sequence[int],
+    paths: Sequence[Path],
+    rate: float,
+    templates: Sequence[tuple[Body, float | None]],
+    seed: int = 0,
+) -> list[RoughTrack | None]:
+    """Track all people on paths roughly through the frames `numbers`.
+
+    rate: of these frames, Hz.
+    templates: per person the template, and the height (m) where known.
+    Returns: one track per person; None where no start explains the masks.
+    """
+    return [
+        _rough(frame_at, [t for t in numbers if t in p.found], k, paths, rate, *templates[k], seed)
+        for k, p in enumerate(paths)
+    ]
+
+
+def _rough(
+    frame_at: Callable[[int], Frame],
+    numbers: Sequence[int],
+    who: int,
+    paths: Sequence[Path],
+    rate: float,
+    template: Body,
+    height: float | None,
+    seed: int,
+) -> RoughTrack | None:
+    own = {t: frame_of_person(frame_at(t), t, who, paths) for t in numbers}
+    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_tried]
+    try:
+        found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
+    except HyposeError:
+        return None
+    start, at = found.starts.best, found.at
+    if found.ways:  # tracking corrects a wrong start: track again from the frame that fits best
+        costs = found.ways[0].costs
+        at = int(np.where(np.isfinite(costs), costs, np.inf).argmin())
+        start = replace(start, pose=found.ways[0].poses[at])
+    way = way_of(start, numbers.index(seen[at]), [own[t] for t in numbers], rate, seed)
+    if way is None or way.cost > SETTINGS.rough_lost:
+        return None
+    rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + SETTINGS.rough_rivals])
+    return RoughTrack(start.body, dict(zip(numbers, way.poses, strict=True)), rivals)
+
+
+# ---- bodies again --------------------------------------------------------------------------------------------------
+# Fit bodies of people in shared masks again when the bodies of all people are known.
+#
+# In the first fit the others are hulls, or bodies of the template's shape; where these hide too much or too little,
+# arms and legs become too long or too short. So all people are tracked together through the same frames, forwards and
+# backwards, and each body is fitted to what the fitted bodies of the others leave of the masks.
+
+
+AGAIN = "the body was fitted again when the bodies of the others were known"
+_Trial = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
+"""By frame number, a person's estimate and the visible share of the person in each view (C,)."""
+
+
+def fitted_again(
+    people: Sequence[TrackedPerson],
+    frame_at: Callable[[int], Frame],
+    numbers: Sequence[int],
+    known: Callable[[str], KnownPerson],
+) -> dict[int, TrackedSubject]:
+    """Fit bodies again that were fitted once to shared masks, now that the bodies of all people are known.
+
+    people: at their starts in the first of the frames `numbers`.
+    known: gives the prior knowledge of a person by name.
+    Returns: by index of the person, the subject with new body and start; where that explains the masks no better, the
+        old subject with a note.
+    """
+    once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
+    if len(people) < 2 or not once:
+        return {}
+    members, ways = [p.member for p in people], list[list[_Trial]]()
+    for order in (numbers, numbers[::-1]):
+        members = [replace(m, state=m.tracker.start(m.state.pose)) for m in members]
+        ways.append([{} for _ in people])
+        for t in order:
+            members, estimates, seen = step_together(members, frame_at(t))
+            for k, (estimate, own) in enumerate(zip(estimates, seen, strict=True)):
+                if not estimate.lost and np.isfinite(estimate.cost):
+                    ways[-1][k][t] = estimate, own.visible_share
+    found = [_put_right(there, back, numbers) for there, back in zip(*ways, strict=True)]
+
+    def own_at(who: int, t: int) -> Frame:
+        frame = frame_at(t)
+        rig = frame.the(Silhouettes).rig
+        shapes = {k: shape_of(p.subject.body, found[k][t][0].pose, rig) for k, p in enumerate(people) if t in found[k]}
+        return own_frame(frame, shapes[who], [Other(s, SOLVED_WIDENING) for k, s in shapes.items() if k != who])
+
+    return {
+        k: _again(people[k].subject, found[k], own_at, k, known(people[k].name).height)
+        for k in once
+        if numbers[0] in found[k]
+    }
+
+
+def _put_right(there: _Trial, back: _Trial, numbers: Sequence[int]) -> _Trial:
+    """Replace the first frames of the forward track by the backward track where that costs clearly less. Why: a limb
+    that the start got wrong is found later, and known from there backwards.
+    """
+    both = [t in there and t in back for t in numbers]
+    won = np.cumsum([there[t][0].cost - back[t][0].cost if b else 0.0 for t, b in zip(numbers, both, strict=True)])
+    best = int(won.argmax())
+    if won[best] < SETTINGS.again_least_won:
+        return there
+    return there | {t: back[t] for t in numbers[: best + 1] if t in back}
+
+
+def _again(
+    subject: TrackedSubject,
+    way: _Trial,
+    own_at: Callable[[int, int], Frame],
+    who: int,
+    height: float | None,
+) -> TrackedSubject:
+    """Fit one person's body again on their track, whose first frame is that of the start."""
+    template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
+    seen = least_hidden({t: shown for t, (_, shown) in way.items()})
+    poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
+    chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
+    frames = [own_at(who, seen[k]) for k in chosen]
+    x = prior_mean()
+    x[0] = np.log(subject.body.stature / template.stature)
+    try:
+        outlines = [surface_evidence(frame) for frame in frames]
+        fit = refine_shape(template, poses[chosen], outlines, known=Known(height), start=x)
+    except HyposeError:
+        return noted
+    if _overlap(fit.body, fit.poses, frames) <= _overlap(subject.body, poses[chosen], frames):
+        return noted
+    first = min(way)
+    begin, pose = own_at(who, first), way[first][0].pose
+    start = refine(fit.body, pose[None], prepare(begin, fit.body, pose), SolveSettings())[0].pose
+    return replace(noted, body=fit.body, start=start)
+
+
+def _overlap(body: Body, poses: Array, frames: Sequence[Frame]) -> float:
+    """Compute the mean IoU of a body in poses (F, D) with the masks of the frames."""
+    return float(np.mean([mean_overlap(body, q, prepare(f, body, q)) for q, f in zip(poses, frames, strict=True)]))
+
+
+# ---- finding and managing people ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -54,21 +289,22 @@ class PeopleFinder:
     """Finder of the people in the frames of a source, for a session that tracks them together.
 
     frame_rate: Hz.
-    count: most people whose results are wanted; None: all. Others are tracked too, since they hide these.
+    count: largest number of people whose results are wanted; None: all. Other people are tracked too, since they
+        hide parts of the wanted people.
     wanted: prior knowledge of some people.
-    points: key points sorted by person; None: people are tracked by masks or depth alone.
-    """
+    source: frames by number.
+    points: key points sorted by person; None: people are tracked by masks or depth alone."""
 
     source: FrameSource
     frame_rate: float
     options: TrackOptions
     count: int | None = None
-    wanted: Sequence[Wanted] = ()
+    wanted: Sequence[KnownPerson] = ()
     points: KeypointPeople | None = None
 
     # ---- the beginning -----------------------------------------------------------------------------------------
 
-    def begin(self) -> list[Followed]:
+    def begin(self) -> list[TrackedPerson]:
         """Find and fit the people of the first frames: wanted people first, then by distance from the middle of the
         cameras' view.
 
@@ -76,7 +312,9 @@ class PeopleFinder:
         """
         last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
-        named, numbers = range(last, self._named_at + 1, self._look_every), self._fit_numbers(0)
+        # the last frame for which a person's place is given
+        named = round(max((w.time for w in self.wanted if w.place is not None), default=0.0) * self.frame_rate)
+        named, numbers = range(last, min(named + 1, len(self.source)), self._look_every), self._fit_numbers(0)
         paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
         if not paths:
             if self.source.frame(0).depth is not None:
@@ -92,8 +330,9 @@ class PeopleFinder:
         middle = self._middle()
         paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))
         names = names_at_places(self.wanted, len(paths), lambda k, t: self._stood(paths[k], t), self.frame_rate)
-        order = sorted(range(len(paths)), key=lambda k: self._rank(names[k]))
-        people, unclear, rough = list[Followed](), list[HyposeError](), None
+        ranks = {w.name: k for k, w in enumerate(self.wanted)}
+        order = sorted(range(len(paths)), key=lambda k: ranks.get(names[k], len(ranks)))
+        people, unclear, rough = list[TrackedPerson](), list[HyposeError](), None
         if len(paths) > 1 and self.points is None:
             sizes = [
                 (human(), w.height) if w.body is None else (w.body, w.body.stature) for w in map(self._known, names)
@@ -113,32 +352,22 @@ class PeopleFinder:
             for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
                 people[k] = self._at_start(people[k].name, subject)
         for k, p in enumerate(people):
-            p.asked_for = self.count is None or k < self.count
+            p.requested = self.count is None or k < self.count
         return people
 
-    def _rank(self, name: str) -> int:
-        """Return the position of a name among the wanted people; other people come last."""
-        return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
-
-    def _at_start(self, name: str, subject: TrackedSubject) -> Followed:
-        return Followed.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
+    def _at_start(self, name: str, subject: TrackedSubject) -> TrackedPerson:
+        return TrackedPerson.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
         """Follow all people in the hull through the frames `numbers`."""
         return follow_places(self.source.frame, numbers, self.frame_rate)
 
-    @property
-    def _named_at(self) -> int:
-        """Number of the last frame for which a person's place is given."""
-        times = [w.time for w in self.wanted if w.place is not None]
-        return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
-
     def _stood(self, path: Path, t: int) -> Array:
         """Return where (2,) m a person stood in about a frame; NaN where not known."""
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
-    def _known(self, name: str) -> Wanted:
-        return next((w for w in self.wanted if w.name == name), Wanted(name))
+    def _known(self, name: str) -> KnownPerson:
+        return next((w for w in self.wanted if w.name == name), KnownPerson(name))
 
     def _rate_of(self, numbers: Sequence[int]) -> float:
         """Return the rate of the frames `numbers`, Hz."""
@@ -164,10 +393,10 @@ class PeopleFinder:
         numbers: Sequence[int],
         rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
-    ) -> Followed:
+    ) -> TrackedPerson:
         """Fit a person's body to the evidence that is theirs alone in the frames `numbers`.
 
-        paths: of all people.
+        paths: paths of all people.
         who: index of the person.
         rough: rough tracks of all people.
         alone: no other person is there.
@@ -197,9 +426,9 @@ class PeopleFinder:
 
     # ---- while they are tracked --------------------------------------------------------------------------------
 
-    def keypoints(self, people: Sequence[Followed], t: int) -> list[Keypoints | None]:
+    def keypoints(self, people: Sequence[TrackedPerson], t: int) -> list[Keypoints | None]:
         """Return the key points of all people in frame t; those of an empty frame for a person who has none, or is not
-        there. The track of key points that a person has from now on is noted in `Followed.track`.
+        there. The track of key points that a person has from now on is noted in `TrackedPerson.track`.
 
         Returns: empty where people are tracked without key points.
         """
@@ -217,10 +446,10 @@ class PeopleFinder:
         return out
 
     def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame]) -> None:
-        """Manage the tracks after a frame: people who were exchanged, found twice, who come and who return.
+        """Update the tracks after a frame: correct people who were exchanged or found twice, and add people who come
+            or return.
 
-        seen: the frame as each person's tracker saw it.
-        """
+        seen: the frame as each person's tracker saw it."""
         people, t = session.people, session.done - 1
         look = t % self._look_every == 0
         if look:
@@ -229,14 +458,14 @@ class PeopleFinder:
                 swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
         if look:
-            session.coming = self._look(people, frame, t, session.coming, session.held)
+            session.candidates = self._look(people, frame, t, session.candidates, session.held)
 
     @property
     def _look_every(self) -> int:
         return max(1, round(SETTINGS.people_look_s * self.frame_rate))
 
     def _look(
-        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
+        self, people: list[TrackedPerson], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
         """Look for people in mask parts that no tracked body explains; those who were also seen at the last look are
         tracked from now on.
@@ -250,7 +479,7 @@ class PeopleFinder:
         if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
             return []
         found = not_parts(depth_people.people_seen(frame, known), people)
-        coming = list[Array]()
+        candidates = list[Array]()
         for person in found:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
@@ -267,10 +496,10 @@ class PeopleFinder:
                     if new:
                         return []
                     tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
-            coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
-        return coming
+            candidates.append(np.array([*person.axis, tries, again], dtype=np.float64))
+        return candidates
 
-    def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
+    def _new(self, people: list[TrackedPerson], person: HullPerson, frame: Frame, t: int) -> bool:
         """Fit a new person and add them to `people`; return False where no body can be fitted."""
         numbers = self._fit_numbers(t)
         # after this frame nothing is tracked yet: people are separated by the hull alone
@@ -288,24 +517,24 @@ class PeopleFinder:
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
-        new.asked_for = self._makes_room(name, people)
+        new.requested = self._makes_room(name, people)
         people.append(new)
         return True
 
-    def _makes_room(self, name: str, people: Sequence[Followed]) -> bool:
+    def _makes_room(self, name: str, people: Sequence[TrackedPerson]) -> bool:
         """Return whether the result of a new person is wanted; a wanted person replaces another who is not."""
         if self.count is None or len(people) < self.count:
             return True
         names = {w.name for w in self.wanted}
-        others = [p for p in people if p.asked_for and p.name not in names]
+        others = [p for p in people if p.requested and p.name not in names]
         if name not in names or not others:
             return False
-        others[-1].asked_for = False
+        others[-1].requested = False
         return True
 
     # ---- after tracking ----------------------------------------------------------------------------------------
 
-    def own_clip(self, p: Followed, people: Sequence[Followed]) -> tuple[OwnFrames, Followed]:
+    def own_clip(self, p: TrackedPerson, people: Sequence[TrackedPerson]) -> tuple[OwnFrames, TrackedPerson]:
         """Return the frames as evidence for one of the people, and the person without mask changes that come from other
         people.
 
@@ -334,8 +563,8 @@ class OwnFrames:
     """
 
     source: FrameSource
-    who: Followed
-    people: Sequence[Followed]
+    who: TrackedPerson
+    people: Sequence[TrackedPerson]
     points: KeypointPeople | None
 
     def __len__(self) -> int:

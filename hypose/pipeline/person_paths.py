@@ -69,9 +69,11 @@ def follow_places(
 ) -> list[Path]:
     """Find the paths of people through the frames `numbers` (ascending), longest path first.
 
-    known: gives, for a frame number, the people who are tracked already; parts near them that are too small for a
-        person, such as limbs, are left out.
-    """
+    frame_at: function that reads a frame by its number.
+    frame_rate: Hz.
+    known: function of a frame number that gives the people who are tracked already; parts near them that are too
+        small for a
+        person, such as limbs, are left out."""
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     paths: list[Path] = []
@@ -113,7 +115,7 @@ def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class KnownPerson:
     """Prior knowledge of a person, from a [[person]] of recording.toml.
 
     height: m.
@@ -142,7 +144,7 @@ class Wanted:
 
 
 def names_at_places(
-    wanted: Sequence[Wanted],
+    wanted: Sequence[KnownPerson],
     count: int,
     place: Callable[[int, int], Array],
     frame_rate: float,
@@ -171,9 +173,12 @@ def names_at_places(
     return [names[k] if k in names else next(rest) for k in range(count)]
 
 
-def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
-    """Return a sentence on people whose given places are too early to identify them among `count` people; none where
-    all are usable.
+def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]:
+    """Return a sentence for the user that given places are too early to tell who is who.
+
+    wanted: people with their places.
+    count: number of people found.
+    Returns: one sentence; none where all places can be used, or one person was found.
     """
     early = [w for w in wanted if w.early]
     if not early or count < 2:
@@ -208,7 +213,8 @@ class KeypointPeople:
         return Keypoints(np.zeros((len(self.rig), len(self.names), 3)), self.names, self.rig)
 
     def lasting(self, total: int) -> list[int]:
-        """List the tracks that last a good part of `total` frames; at least the longest one."""
+        """List the numbers of the tracks that last at least a certain share of `total` frames
+        (SETTINGS.points_least_share); where none does, the longest one."""
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
@@ -237,7 +243,9 @@ class KeypointPeople:
 
 
 class PointFrames:
-    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence."""
+    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
+
+    track: number of the track in `points`."""
 
     def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
         self._source, self._points, self._track = source, points, track
@@ -266,5 +274,9 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
 
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Select rows of all arrays that a motion has per frame."""
+    """Select frames of a motion.
+
+    rows: their numbers, or a (T,) mask.
+    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`.
+    """
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

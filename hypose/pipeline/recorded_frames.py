@@ -31,10 +31,11 @@ from hypose.pipeline.track_options import TrackOptions
 
 
 def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
-    """Return how the frames of a recording are read for a run; None: as usual.
+    """Choose the settings with which the frames of a recording are read for a run.
 
-    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
-    """
+    Returns: the settings; None: the usual ones of several cameras.
+
+    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs."""
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
     if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
@@ -142,7 +143,7 @@ def picture_options(recording: Recording, start: str, evidence: str) -> FrameSet
     """Select the settings with which the pictures of a recording of one camera are read: their size, from the size of
     the person, and the masks.
 
-    recording: of one camera.
+    recording: recording of one camera.
     start: one of POINT_STARTS, or a file of clicks.
     evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
     """

@@ -61,15 +61,14 @@ class Refinement:
     """Refined calibration of a recording.
 
     rig: cameras in the old world, with the old lenses.
-    method: keypoints or silhouettes.
-    used: frames it was found on.
-    changes: per camera.
+    method: "keypoints" or "silhouettes".
+    used: frames from which the refinement was computed.
+    changes: how far each camera was moved and turned.
     before_px, after_px: median distance of key points from the triangulation of all views, on frames not used; NaN
         without key points.
     left_out_before_px, left_out_after_px: the same from the triangulation of the other views.
     tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames.
-    notes: sentences for the user.
-    """
+    notes: sentences for the user."""
 
     rig: CameraRig
     method: str
@@ -101,9 +100,8 @@ def window(recording: Recording, most: int) -> Recording:
 
 
 def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
-    """Collect the evidence for a check of the calibration, of at most `most` consecutive frames: key points as stored,
-    and masks made without them.
-    """
+    """Collect the evidence for a check of the calibration from at most `most` consecutive frames: key points as
+    stored, and masks that are made without using the key points."""
     few = window(recording, most)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
@@ -169,7 +167,9 @@ def raw_person(recording: Recording) -> RecordedPerson | None:
 
 
 def cured_recording(recording: Recording, cured: Cured) -> Recording:
-    """Return the recording with the lag and shift that the check measured."""
+    """Correct a recording by the lag (time offsets) and the image shift of views that the check measured.
+
+    Returns: the corrected recording; the files are not changed."""
     views = [
         replace(v, image_shift=(v.image_shift[0] + float(s[0]), v.image_shift[1] + float(s[1])))
         for v, s in zip(recording.views, cured.shift, strict=True)
@@ -195,7 +195,7 @@ def refine_recording(
         start).
     late: (C,) frames by which views are late.
     fixed: names of cameras that stay.
-    height: of the person, m, sets the scale; None: the length of the person's limbs is kept.
+    height: height of the person, m, sets the scale; None: the length of the person's limbs is kept.
     most: most frames that are used.
     Raises: EvidenceError or InputError names the missing input.
     """

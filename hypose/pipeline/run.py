@@ -35,15 +35,15 @@ from hypose.pipeline.passes import (
 from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.person_paths import (
     KeypointPeople,
+    KnownPerson,
     PointFrames,
-    Wanted,
     names_at_places,
     padded,
     per_frame,
     said_of_places,
 )
-from hypose.pipeline.track_loop import Followed, FrameSource, StageProgress, tracker_of
-from hypose.pipeline.track_management import unfollowed
+from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, tracker_of
+from hypose.pipeline.track_management import untracked_note
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.contacts import runs
 
@@ -61,12 +61,14 @@ class TrackResult:
     audit: (T, J, A) features of the error model (hypose.tracking.joint_features); None where not kept.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    unsure: that of the subject (`TrackedSubject`).
-    judged: assessment of a result that was loaded; None: it is made of motion and findings.
-    name: of the person; empty where one person was tracked.
-    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
-        person is there in all frames.
-    """
+    unsure: (2, J) probability that a joint is elsewhere at the start, from the subject (`TrackedSubject`); None: not
+        known.
+    judged: assessment of a result that was loaded from files; None: the assessment is computed from motion and
+        findings.
+    name: name of the person; empty where one person was tracked.
+    present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None:
+        the
+        person is there in all frames."""
 
     motion: Motion
     body: Body
@@ -140,7 +142,7 @@ class TrackResult:
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
-        """Make the result of a clip whose passes have run."""
+        """Make the result from a clip after all passes have run."""
         assert clip.motion is not None
         return TrackResult(
             clip.motion,
@@ -236,7 +238,7 @@ def track_source(
     )
     if subject is not None:
         tracker = tracker_of(subject, options, frame_rate, method, own)
-        clip = replace(clip, people=(Followed.at_start("", subject, tracker),))
+        clip = replace(clip, people=(TrackedPerson.at_start("", subject, tracker),))
     return _run(clip)[1][0]
 
 
@@ -246,7 +248,7 @@ def track_people(
     options: TrackOptions,
     *,
     count: int | None = None,
-    wanted: Sequence[Wanted] = (),
+    wanted: Sequence[KnownPerson] = (),
     points: KeypointPeople | None = None,
     folders: bool = True,
     **kept: Any,
@@ -257,11 +259,12 @@ def track_people(
     count: most results; None: all people. Those beyond are tracked too, since they hide the others.
     wanted: prior knowledge of some of them.
     points: key points sorted by person, for the evidence 'keypoints' and 'both'.
-    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
+    folders: each person has a folder of their own in the results folder; else the motion of the one person who is
+        asked
         for is written into it.
-    kept: results, record, resume and progress, as for `track_source`.
-    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
-    """
+    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
+        (function of stage, done, total), the same as those of `track_source`.
+    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found."""
     kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
     if options.of_picture:
         raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
@@ -273,7 +276,7 @@ def track_people(
     finder = PeopleFinder(source, frame_rate, options, count, wanted, used)
     clip, done = _run(ClipState(source, frame_rate, options, finder=finder, folders=folders, **kept))
     complete, names = all(p.complete for p in done), [p.name for p in clip.people]
-    said = *_who_is_there(done, frame_rate), *unfollowed(clip.coming)
+    said = *_who_is_there(done, frame_rate), *untracked_note(clip.candidates)
     said += tuple(w.not_found for w in wanted if w.name not in names)
     said += said_of_places(wanted, len(names))
     return PeopleResult(tuple(done), complete, said, len(names) - len(done), clip.findings)
@@ -284,7 +287,7 @@ def _by_keypoints(
     frame_rate: float,
     options: TrackOptions,
     count: int | None,
-    wanted: Sequence[Wanted],
+    wanted: Sequence[KnownPerson],
     points: KeypointPeople | None,
     kept: dict[str, Any],
 ) -> PeopleResult:
@@ -295,12 +298,12 @@ def _by_keypoints(
             "with `hypose check`, or use silhouettes."
         )
     total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
-    where, order = [points.tracks[k] for k in tracks], [w.name for w in wanted]
+    where, ranks = [points.tracks[k] for k in tracks], {w.name: k for k, w in enumerate(wanted)}
     names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
-    ranked = sorted(range(len(tracks)), key=lambda k: order.index(names[k]) if names[k] in order else len(order))
+    ranked = sorted(range(len(tracks)), key=lambda k: ranks.get(names[k], len(ranks)))
     results = kept.pop("results", None)
     for k in ranked[:count]:
-        known = next((w for w in wanted if w.name == names[k]), Wanted(names[k]))
+        known = next((w for w in wanted if w.name == names[k]), KnownPerson(names[k]))
         frames = PointFrames(source, points, tracks[k])
         own, folder = replace(options, height=known.height or options.height), None
         if results is not None:

@@ -36,7 +36,7 @@ class ScanSettings:
     within, tried: stances with a score within this factor of the best, and at most so many, are fitted.
     rough, fine: iterations of the first fit of each stance, and of the fit of the best.
     thinned: each so-many-th sample is used in the first fit.
-    weight: of all samples together, since errors of neighbouring samples are correlated.
+    weight: weight of all samples together, since errors of neighbouring samples are correlated.
     far: distance of a sample, as a share of the stature, beyond which it counts as far from the body.
     unlikely: Mahalanobis distance of proportions above which a scan is no person: heavy people have 6, a person
         squeezed to a pole 10.

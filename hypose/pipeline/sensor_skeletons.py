@@ -50,10 +50,9 @@ class SkeletonRows:
     """Joints of sensors' skeletons as additional evidence for tracking (`hypose.evidence.cues.OwnEvidence`).
 
     points: (T, P, 3) m, world, NaN where missing.
-    weight: (T, P).
+    weight: (T, P) weight of each point.
     joint, offset: (P,) and (P, 3) m in the joint's frame: where the points sit on the body.
-    row: row of the arrays by frame index.
-    """
+    row: row of the arrays by frame index."""
 
     points: Array
     weight: Array
@@ -92,13 +91,15 @@ def fuse_mixture(
     """Track a person from cameras and skeletons in one solve.
 
     source: frames with depth maps, silhouettes or both, in a world with z up.
-    skeletons: one per frame, of K sensors, with any known set of joints (`hypose.fusion.register.common_joints`), each
+    skeletons: one per frame, of K sensors, with any known set of joints (`hypose.fusion.register.common_joints`),
+        each
         in the sensor's frame; or a function that makes them from the motion of the cameras alone.
-    results, record: as for `track_source`.
+    results: folder for motion.npz and a checkpoint; None: nothing is written.
+    record: provenance of the motion.
+    progress: function of stage, done, total.
     Returns: the motion; when interrupted early, that of the cameras so far.
     Raises: InputError where the numbers of frames and skeletons differ, or no sensor moves like the person; a single
-        such sensor is left out.
-    """
+        such sensor is left out."""
     made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:
@@ -239,7 +240,7 @@ def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
     return begin + found
 
 
-_LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
+_LEGS = ([jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT], [jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT])
 _CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 
 
@@ -249,8 +250,8 @@ def assess_fused(
     """Assess one person's fused motion.
 
     clip: what the sensors reported of the person at the motion's times.
-    registration: of the sensors.
-    names: of the sensors.
+    registration: registration of the sensors.
+    names: names of the sensors.
     """
     late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, names)]
     found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]
@@ -277,7 +278,7 @@ def assess_fused(
 
 def _of_size(motion: Motion) -> Iterator[str]:
     joints = motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]
-    legs = [_length(joints, a, b) + _length(joints, b, c) for a, b, c in _LEGS]
+    legs = [np.linalg.norm(np.diff(joints[:, leg], axis=1), axis=-1).sum(1) for leg in _LEGS]
     long = float(np.nanmedian(np.concatenate(legs)[np.tile(~motion.lost, 2)])) if (~motion.lost).any() else np.nan
     if np.isfinite(long) and not SETTINGS.sensor_legs_m[0] <= long <= SETTINGS.sensor_legs_m[1]:
         tall = long / SETTINGS.sensor_of_height
@@ -287,10 +288,6 @@ def _of_size(motion: Motion) -> Iterator[str]:
             f"the person would be {tall:.3g} m tall, by their legs{unit}; correct the unit, since skeletons must be in "
             "metres"
         )
-
-
-def _length(joints: Array, a: int, b: int) -> Array:
-    return np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)
 
 
 def _of_clocks(times: Array, clip: Sequence[SensorJoints], names: Sequence[str]) -> Iterator[str]:

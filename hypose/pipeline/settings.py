@@ -108,11 +108,11 @@ class PipelineSettings:
     engine_latencies: Instants whose latencies are kept.
     engine_searches: Most searches and duels at one time.
     engine_misses: Shares of lost pictures of a camera that are reported, in steps.
-    eyes_room_s, eyes_room_pictures: Time (s) and pictures from which the empty room is learned.
-    eyes_other_shape: Relative difference of a picture's aspect ratio from the calibration's that is accepted.
-    eyes_quality: JPEG quality of the pictures that are passed on.
-    eyes_look_s: Time after which a thread that waits for the other process checks whether to continue, s.
-    eyes_closing_s: Time in which the other process may close its cameras, s.
+    capture_empty_s, capture_empty_pictures: Time (s) and pictures from which the empty room is learned.
+    capture_other_shape: Relative difference of a picture's aspect ratio from the calibration's that is accepted.
+    capture_quality: JPEG quality of the pictures that are passed on.
+    capture_look_s: Time after which a thread that waits for the other process checks whether to continue, s.
+    capture_closing_s: Time in which the other process may close its cameras, s.
     feeds_kept: Pictures of each camera that are kept, in addition to those that other cameras have not reached yet.
     feeds_pace, feeds_known: Pictures from which the rate is estimated, and least number of them.
     feeds_recent: Pictures from which the share of lost ones is computed.
@@ -148,12 +148,12 @@ class PipelineSettings:
     recorder_waiting: Most instants that wait to be written; more are left out and counted.
     recorder_pause_s: Time between instants that counts as a pause of the recording, s.
     recorder_describe_s: Time after which the recording's description is updated, s.
-    rooms_every_s: Time between two updates of the background, s.
-    rooms_light_s, rooms_thing_s: Time constants of learning, s: where the picture resembles the room, and where it is
+    scene_every_s: Time between two updates of the background, s.
+    scene_light_s, scene_thing_s: Time constants of learning, s: where the picture resembles the room, and where it is
         neither the room nor the person.
-    rooms_sparse: Distance of the pixels from which the change of brightness is estimated, px.
-    rooms_margin: Margin about the person in which nothing is learned, as a share of the person's height in the picture.
-    rooms_moved_m, rooms_moved_grey, rooms_moved_share: Change (m, grey levels) and share of pixels with it that mean
+    scene_sparse: Distance of the pixels from which the change of brightness is estimated, px.
+    scene_margin: Margin about the person in which nothing is learned, as a share of the person's height in the picture.
+    scene_moved_m, scene_moved_grey, scene_moved_share: Change (m, grey levels) and share of pixels with it that mean
         that a person did not leave.
     sides_give_up: Sum over frames of 1 - IoU above its best at which tracking again stops. Frame counts of sides_* hold
         at up to 25 frames/s; at more they grow with the frame rate.
@@ -358,12 +358,12 @@ class PipelineSettings:
     engine_latencies: int = 1800
     engine_searches: int = 2
     engine_misses: tuple[float, float, float, float] = (0.05, 0.1, 0.2, 0.5)
-    eyes_room_s: float = 2.0
-    eyes_room_pictures: int = 12
-    eyes_other_shape: float = 0.01
-    eyes_quality: int = 85
-    eyes_look_s: float = 0.2
-    eyes_closing_s: float = 5.0
+    capture_empty_s: float = 2.0
+    capture_empty_pictures: int = 12
+    capture_other_shape: float = 0.01
+    capture_quality: int = 85
+    capture_look_s: float = 0.2
+    capture_closing_s: float = 5.0
     feeds_kept: int = 12
     feeds_pace: int = 31
     feeds_known: int = 4
@@ -404,14 +404,14 @@ class PipelineSettings:
     recorder_waiting: int = 90
     recorder_pause_s: float = 1.0
     recorder_describe_s: float = 5.0
-    rooms_every_s: float = 1.0
-    rooms_light_s: float = 10.0
-    rooms_thing_s: float = 30.0
-    rooms_sparse: int = 3
-    rooms_margin: float = 0.15
-    rooms_moved_m: float = 0.05
-    rooms_moved_grey: float = 12.0
-    rooms_moved_share: float = 0.01
+    scene_every_s: float = 1.0
+    scene_light_s: float = 10.0
+    scene_thing_s: float = 30.0
+    scene_sparse: int = 3
+    scene_margin: float = 0.15
+    scene_moved_m: float = 0.05
+    scene_moved_grey: float = 12.0
+    scene_moved_share: float = 0.01
     sides_give_up: float = 0.3
     sides_least: float = 0.15
     sides_undecided: int = 50

@@ -37,7 +37,8 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 
 def no_two_views(frame: Frame) -> str:
-    """Return the sentence why a body cannot be measured in a frame with too few usable views, and what to do."""
+    """Write the sentence for the user that says why a body cannot be measured in a frame with too few usable views,
+    and what to do."""
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
@@ -81,7 +82,7 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
         middles[c] = 0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max())
         extents[c] = max(np.ptp(u) / rig[c].K[0, 0], np.ptp(v) / rig[c].K[1, 1])
     point = triangulate(rig, middles, usable)[0]
-    depths = np.array([c.camera_from_world[2, :3] @ point + c.camera_from_world[2, 3] for c in rig])
+    depths = np.array([camera.depths(point) for camera in rig])
     ahead = usable & (depths > 0)
     return float(np.median((extents * depths)[ahead])) if ahead.any() else None
 
@@ -146,11 +147,13 @@ def both_ways(tracker: Tracker, start: Array, at: int, frames: Sequence[Frame]) 
 
 @dataclass(frozen=True)
 class StartTrial:
-    """Start pose in frame number `at`, tracked through all frames.
+    """Start pose that was tracked through all frames, to judge it.
 
-    poses: (T, D).
-    costs: (T,) 1 - IoU; NaN where nothing is seen.
-    """
+    start: the start.
+    at: number of its frame.
+
+    poses: (T, D) tracked poses.
+    costs: (T,) 1 - IoU; NaN where nothing is seen."""
 
     start: Start
     at: int
@@ -159,7 +162,7 @@ class StartTrial:
 
     @property
     def cost(self) -> float:
-        """Mean cost over the frames; infinite where none is known."""
+        """Mean cost over the frames; infinite where the cost of no frame is known."""
         known = self.costs[np.isfinite(self.costs)]
         return float(known.mean()) if len(known) else np.inf
 
@@ -170,7 +173,7 @@ def way_of(
     """Track a start through the frames after it and before it, with few particles.
 
     at: number of the start's frame.
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     best: cheapest trial so far.
     Returns: the trial; None as soon as it clearly costs more than `best`.
     """
@@ -230,16 +233,16 @@ def best_ways(
 ) -> BestWays:
     """Find the start poses that explain the silhouettes of frames best, with their weights.
 
-    rate: of the frames, Hz.
+    rate: rate of the frames, Hz.
     poses: names of known poses; a single one is expected in the first frame.
     height: m, where known.
     shared: the masks also show other people; then starts of several frames are tracked through all frames.
-    tried: frame numbers and starts that may be right as well.
+    tried: further starts that may be right, each with its frame number.
     Raises: EvidenceError where no frame has a visual hull.
 
-    Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt. The
-    person's extent is the median height of the hulls.
-    """
+    Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt.
+        The
+    person's extent is the median height of the hulls."""
     numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
     extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))
     named = poses[0] if len(poses) == 1 else None

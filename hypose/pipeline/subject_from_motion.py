@@ -25,7 +25,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
-from hypose.pipeline.left_right import correct_left_right
+from hypose.pipeline.retracking import correct_left_right
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, both_ways, check_borders, check_person_size, no_two_views
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
@@ -47,15 +47,15 @@ class AnthropometryOptions:
 
     frames: number of different poses that are fitted.
     tracked: number of frames that are tracked to find them.
-    rate: of these frames, Hz.
-    particles: of the tracker.
+    rate: rate of these frames, Hz.
+    particles: particles of the tracker.
     passes: with 2, the frames are tracked again with the fitted body.
     height, mass: m and kg, where known.
     poses: known poses that the person may have at the start.
-    seed: of random numbers.
+    seed: seed of random numbers.
     shape: settings of the solver.
-    shared, tried: as for `best_ways`; `tried` with frame numbers of the recording.
-    """
+    shared: the masks also show other people.
+    tried: further starts that may be right, each with its frame number in the recording."""
 
     frames: int = 10
     tracked: int = 36
@@ -346,7 +346,11 @@ def load_subject(path: str | Path) -> Body:
 
 
 def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
-    """Compute the standard deviation (m) of every size from shapes drawn from the fit's covariance (fixed seed)."""
+    """Compute the standard deviation (m) of every body size, from shapes drawn at random from the fit's covariance
+    (fixed seed).
+
+    draws: number of shapes.
+    Returns: standard deviation by the name of the size."""
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(estimate.covariance)
     light = replace(template, coarse=template.fine)
@@ -357,12 +361,13 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
 
 
 def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
-    """Estimate the person's height from silhouettes and depth of a motion that was tracked with a given height or body.
+    """Estimate the person's height from silhouettes and depth of a motion that was tracked with a given height or
+    body.
 
     poses: (T, D) of `body`.
-    iou: (T,).
-    Returns: m; None where the evidence does not determine it.
-    """
+    iou: (T,) overlap of each pose with the evidence.
+    frame_at: function that reads a frame by its number.
+    Returns: height, m; None where the evidence does not determine it."""
     known = np.flatnonzero(np.isfinite(iou))
     if len(known) < 2:
         return None
@@ -383,7 +388,10 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
 
 
 def height_sentence(reported: float, given: float) -> str:
-    """Return the sentence that the cameras show another height than the given one, both in m."""
+    """Write the sentence that the cameras show another height of the person than the given one.
+
+    reported: height that the cameras show, m.
+    given: height that the user gave, m."""
     return (
         f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
         "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"

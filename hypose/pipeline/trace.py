@@ -73,5 +73,5 @@ def with_trace(motion: Motion, trace: Iterable[Change]) -> Motion:
 
 
 def later(trace: Iterable[Change], frames: int) -> tuple[Change, ...]:
-    """Shift the frame numbers of a trace by `frames`."""
+    """Add `frames` to all frame numbers of a trace."""
     return tuple(replace(c, frames=range(c.frames.start + frames, c.frames.stop + frames)) for c in trace)

@@ -22,7 +22,7 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.person_paths import KeypointPeople, Wanted, said_of_places
+from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
 from hypose.pipeline.subject_from_motion import load_subject
@@ -130,10 +130,13 @@ def track_person(
 ) -> TrackResult:
     """Track one person in the frames of a recording.
 
-    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that returns
+    Where the masks show several people, all are tracked, one is returned, and a note names the `command` that
+    returns
     all.
-    kept, and the other arguments: as for `track_source`.
-    """
+    body: the subject's own body; None: a body is fitted.
+    method: recipe that replaces the recipe of the options.
+    own: evidence in addition to that of the frames.
+    kept: further keyword arguments of `track_source`: results, record, resume, progress."""
     recording = source.recording
     all_people = with_all_people(source, options) if method is None and not own and body is None else None
     if all_people is None:
@@ -167,11 +170,11 @@ def _track_people(
 _COUNT = re.compile(r"[1-9][0-9]?")
 
 
-def wanted_of(recording: Recording) -> list[Wanted]:
-    """Read what recording.toml says about people."""
+def wanted_of(recording: Recording) -> list[KnownPerson]:
+    """Read the prior knowledge of people from a recording: name, height, body, place and time of each [[person]]."""
     first = recording.frames.start / recording.frame_rate
     return [
-        Wanted(
+        KnownPerson(
             p.name,
             p.height,
             None if p.body is None else load_subject(p.body),
@@ -182,11 +185,11 @@ def wanted_of(recording: Recording) -> list[Wanted]:
     ]
 
 
-def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
+def wanted_first(recording: Recording, options: TrackOptions) -> list[KnownPerson]:
     """Return the prior knowledge of the one person to track: the first person of recording.toml, with the requested
     body or height.
     """
-    first = (wanted_of(recording) or [Wanted("person-1")])[0]
+    first = (wanted_of(recording) or [KnownPerson("person-1")])[0]
     body = first.body if options.subject is None else load_subject(options.subject)
     return [replace(first, height=first.height or options.height, body=body)]
 
@@ -201,7 +204,7 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
 
 
-def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str | None]:
+def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:
     """Parse the option --people: 'all', a number, or a name in recording.toml.
 
     Returns: maximum number of people (None: all), and the only name whose results are wanted (None: all).
@@ -225,7 +228,7 @@ def track_one_of(
     frame_rate: float,
     options: TrackOptions,
     *,
-    wanted: Sequence[Wanted] = (),
+    wanted: Sequence[KnownPerson] = (),
     points: KeypointPeople | None = None,
     command: str = "--people all",
     **kept: Any,
@@ -235,9 +238,9 @@ def track_one_of(
     wanted: prior knowledge of the person; without it the person nearest to the middle of the cameras' view is taken.
     points: key points sorted by person.
     command: named in the note that other people are there.
-    kept: results, record, resume and progress, as for `track_source`.
-    Returns: result of the person; not to be trusted where no person was found at the wanted place.
-    """
+    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
+        (function of stage, done, total), the same as those of `track_source`.
+    Returns: result of the person; not to be trusted where no person was found at the wanted place."""
     found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
     one, more = found.people[0], found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()

@@ -47,10 +47,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames in memory that can be tracked like a recording, e.g. of a synthetic scene or of your own cameras.
+    """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
+    cameras.
 
-    frame_rate: Hz.
-    """
+    frame_rate: Hz."""
 
     frames: Sequence[Frame]
     frame_rate: float = 25.0
@@ -113,13 +113,13 @@ def tracker_of(
 
 
 @dataclass(eq=False)
-class Followed:
+class TrackedPerson:
     """State of a person who is tracked.
 
     name: of the person; empty where there is only one.
     subject: body and start.
     member: tracker and its state after the last tracked frame.
-    asked_for: the result is wanted.
+    requested: the result is wanted.
     estimates: of each frame so far.
     present: of each frame so far, whether the person is there.
     hidden: of each frame so far, whether others hide the person from all views but one.
@@ -132,7 +132,7 @@ class Followed:
     name: str
     subject: TrackedSubject
     member: Member
-    asked_for: bool = True
+    requested: bool = True
     estimates: list[FrameEstimate] = field(default_factory=list)
     present: list[bool] = field(default_factory=list)
     hidden: list[bool] = field(default_factory=list)
@@ -142,10 +142,10 @@ class Followed:
     said: list[str] = field(default_factory=list)
 
     @staticmethod
-    def at_start(name: str, subject: TrackedSubject, tracker: Tracker) -> Followed:
+    def at_start(name: str, subject: TrackedSubject, tracker: Tracker) -> TrackedPerson:
         """Make the state of a person before the first frame."""
         start = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-        return Followed(name, subject, Member(tracker, start))
+        return TrackedPerson(name, subject, Member(tracker, start))
 
     @property
     def last_seen(self) -> tuple[Array, int] | None:
@@ -160,15 +160,24 @@ class Followed:
         values = {n: list(v) if isinstance(v, list) else v for n, v in vars(self).items()}
         return values | {"appearance": replace(self.appearance, met=dict(self.appearance.met))}
 
-    def was_not(self, since: int, reported: str) -> None:
-        """Mark that from frame `since` on another person was tracked instead; reported: how that is known."""
+    def mark_mistaken(self, since: int, reported: str) -> None:
+        """Mark the estimates from frame `since` on as lost, since another person was tracked instead.
+
+        reported: how that is known, as the end of a sentence for the user.
+        """
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
         self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
 
     def take(self, estimate: FrameEstimate, member: Member, present: bool = True, hidden: bool = False) -> None:
-        """Add a tracked frame; member: the state after it."""
+        """Add a tracked frame.
+
+        estimate: of the pose in it.
+        member: tracker and state after it.
+        present: the person is there.
+        hidden: others hide the person from all views but one.
+        """
         self.member = member
         self.estimates.append(estimate)
         self.present.append(present)
@@ -178,7 +187,7 @@ class Followed:
 class PeopleManager(Protocol):
     """Protocol of an object that manages several people while they are tracked."""
 
-    def keypoints(self, people: Sequence[Followed], t: int, /) -> Sequence[Keypoints | None]:
+    def keypoints(self, people: Sequence[TrackedPerson], t: int, /) -> Sequence[Keypoints | None]:
         """Return the key points of each person in frame t; empty: people are tracked without key points."""
         ...
 
@@ -200,18 +209,18 @@ class TrackingSession:
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
     held: progress of what `manager` does; an interruption in it counts after the frame.
-    coming: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
+    candidates: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
     stopped: the user stopped `track`.
     """
 
-    people: list[Followed]
+    people: list[TrackedPerson]
     frame_rate: float
     manager: PeopleManager | None = None
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict)
     every: int = 25
     held: Deferred = field(default_factory=lambda: Deferred(lambda stage, done, total: None))
-    coming: list[Array] = field(default_factory=list)
+    candidates: list[Array] = field(default_factory=list)
     stopped: bool = False
     _judging: list[Future[list[FrameEstimate]]] = field(default_factory=list)
 
@@ -255,6 +264,8 @@ class TrackingSession:
                     raise
                 self.stopped = True
             except HyposeError as problem:
+                if self.checkpoint is not None and not self.done:
+                    self.checkpoint.unlink(missing_ok=True)  # the same input fails again
                 if not self.done or self.checkpoint is None:
                     raise
                 error = problem
@@ -267,12 +278,12 @@ class TrackingSession:
     @contextlib.contextmanager
     def _all_or_nothing(self) -> Iterator[None]:
         """Take back a frame that an error or a KeyboardInterrupt ended half way, so a resumed run does it whole."""
-        people, coming, judging = list(self.people), self.coming, list(self._judging)
+        people, candidates, judging = list(self.people), self.candidates, list(self._judging)
         before = [p.snapshot() for p in people]
         try:
             yield
         except BaseException:
-            self.people[:], self.coming, self._judging = people, coming, judging
+            self.people[:], self.candidates, self._judging = people, candidates, judging
             for p, values in zip(people, before, strict=True):
                 vars(p).update(values)
             raise
@@ -333,7 +344,7 @@ class TrackingSession:
     def save(self, path: Path) -> None:
         """Write the state of all people as a checkpoint."""
         self.settle()
-        arrays: dict[str, Any] = {"coming": np.array(self.coming, dtype=np.float64).reshape(-1, 4)}
+        arrays: dict[str, Any] = {"candidates": np.array(self.candidates, dtype=np.float64).reshape(-1, 4)}
         about = []
         for k, p in enumerate(self.people):
             arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
@@ -342,7 +353,7 @@ class TrackingSession:
             arrays |= {f"{k}_done_{n}": v for n, v in done.items()}
             arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
             arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
-            about.append({n: getattr(p, n) for n in ("name", "gone", "track", "asked_for", "said")})
+            about.append({n: getattr(p, n) for n in ("name", "gone", "track", "requested", "said")})
             about[-1] |= {"there": p.member.present, "clothes": p.appearance.about}
         Checkpoint(self.done, arrays, {"people": about}, self.identity).save(path)
 
@@ -358,12 +369,12 @@ class TrackingSession:
             who, done, own = _split(own, "subject_", "done_")
             subject = TrackedSubject.from_arrays(who)
             member = Member(tracker_of(subject), TrackerState.from_arrays(own), bool(about["there"]))
-            p = Followed(about["name"], subject, member, estimates=estimates_from_arrays(done) if done else [])
+            p = TrackedPerson(about["name"], subject, member, estimates=estimates_from_arrays(done) if done else [])
             p.present, p.hidden = own["present"].tolist(), own["hidden"].tolist()
-            p.gone, p.track, p.asked_for = int(about["gone"]), about["track"], about["asked_for"]
+            p.gone, p.track, p.requested = int(about["gone"]), about["track"], about["requested"]
             p.appearance, p.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
             self.people.append(p)
-        self.coming = list(saved.arrays["coming"])
+        self.candidates = list(saved.arrays["candidates"])
 
 
 def _split(arrays: Mapping[str, Array], *prefixes: str) -> list[dict[str, Array]]:

@@ -16,8 +16,8 @@ from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Followed
-from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
+from hypose.pipeline.track_loop import TrackedPerson
+from hypose.tracking.appearance import appearance_in, no_appearance
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
@@ -27,15 +27,19 @@ from hypose.tracking.tracker import FrameEstimate
 # Identify people by their clothes after they were near each other, or away.
 
 
-def _apart(a: Followed, b: Followed, t: int = -1) -> float:
+def _apart(a: TrackedPerson, b: TrackedPerson, t: int = -1) -> float:
     return float(np.linalg.norm(a.estimates[t].pose[:2] - b.estimates[t].pose[:2]))
 
 
-def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
-    """Update the clothes model of all people after a frame was tracked, and find people who were exchanged.
+def update_appearance(
+    people: Sequence[TrackedPerson], seen: Sequence[Frame]
+) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
+    """Update the model of each person's clothes after a frame was tracked, and find people whose tracks were exchanged
+    when they met.
 
-    seen: the frame as each person's tracker saw it.
-    Returns: pairs of people who were exchanged, and the frame from which on.
+    people: those whose place is known are updated; nothing is done without pictures.
+    seen: per person, the frame with the evidence of that person only.
+    Returns: (person, other person, first frame in which each has the track of the other); empty: none.
     """
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
@@ -53,14 +57,14 @@ def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list
     return _exchanged(there)
 
 
-def _remember(p: Followed, q: Followed) -> None:
+def _remember(p: TrackedPerson, q: TrackedPerson) -> None:
     """Record that two people met, and the frame in which they were nearest so far."""
     now, met = len(p.estimates) - 1, p.appearance.met
     if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
         met[q.name] = now
 
 
-def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]]:
+def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
     out = []
     for i, p in enumerate(there):
         a = p.appearance
@@ -82,7 +86,9 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
     return out
 
 
-def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes showed afterwards") -> None:
+def swap_identities(
+    p: TrackedPerson, q: TrackedPerson, since: int, reported: str = "as their clothes showed afterwards"
+) -> None:
     """Exchange two people from frame `since` on: their estimates, places and tracks; the frames since then are marked
     as hidden.
 
@@ -101,22 +107,17 @@ def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as th
         one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {reported}")
 
 
-def appearance_likeness(p: Followed, seen: Appearance) -> float:
-    """Compute the likeness of clothes that were seen with those of a person who is away; 1 where one of them is not
-    known.
-    """
-    like = (p.appearance.worn + p.appearance.lately if not p.appearance.met else p.appearance.worn).likeness(seen)
-    return like if np.isfinite(like) else 1.0
-
-
-def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
-    """Return what the people hide whose place is known."""
+def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
+    """Return what each person whose place is known covers in the views."""
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
-    """Return whether enough of the masks is unexplained, in `least` views or in all, to look for a person. Every other
-    pixel is used.
+    """Return whether the masks show enough that no known person explains, so that a search for another one is worth it.
+
+    known: what the known people cover in the views; empty: True is returned.
+    silhouettes: masks of all people; every other pixel is used.
+    least: number of views that must show it; where fewer views are usable, all of these must.
     """
     if not known:
         return True
@@ -132,7 +133,7 @@ def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: in
 def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
     """Find people who stay in one place with another person whose body explains the evidence better.
 
-    people: estimates of each person in the same frames; empty: the person is left out.
+    people: latest estimates of each person, of the same frames where both have them; empty: the person is left out.
     Returns: their indices.
     """
     worse = set[int]()
@@ -140,28 +141,29 @@ def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
         for j, b in enumerate(people[:i]):
             if not a or not b or worse & {i, j}:
                 continue
-            away = np.stack([e.pose[:3] for e in a]) - np.stack([e.pose[:3] for e in b])
+            both = min(len(a), len(b))
+            away = np.stack([e.pose[:3] for e in a[-both:]]) - np.stack([e.pose[:3] for e in b[-both:]])
             if (np.linalg.norm(away, axis=1) < SETTINGS.newcomer_one_place_m).all():
                 costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p]) for p in (a, b)]
                 worse.add(i if costs[0] >= costs[1] else j)
     return worse
 
 
-def part_doubles(people: Sequence[Followed], frames: int) -> None:
+def part_doubles(people: Sequence[TrackedPerson], frames: int) -> None:
     """Mark the worse of two bodies as gone that stay in one place for so many frames."""
     known = [p.estimates[-frames:] if p.member.present and len(p.estimates) >= frames else () for p in people]
     for k in doubles(known):
         people[k].member = replace(people[k].member, present=False)
 
 
-def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
+def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, TrackedSubject]:
     """Remove people who are found twice at the start, where a hull falls into two parts.
 
     Of two people in one place, or side by side where one explains nothing of their own, the one stays whose body
     explains the masks better.
     Returns: subjects by name; the name is that of the first.
     """
-    kept: dict[str, Followed] = {}
+    kept: dict[str, TrackedPerson] = {}
     for p in people:
         for name, q in kept.items():
             away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
@@ -178,12 +180,12 @@ def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Track
     return {name: p.subject for name, p in kept.items()}
 
 
-def _away(p: Followed, q: Followed) -> float:
+def _away(p: TrackedPerson, q: TrackedPerson) -> float:
     """Compute the distance between the roots of two people at their starts, m."""
     return float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))
 
 
-def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
+def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -> float:
     """Compute the mean IoU of a person at the start with what the others leave of the masks; 0 where
     that is nothing.
     """
@@ -194,9 +196,13 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
     return mean_overlap(body, start, prepared)
 
 
-def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
-    """Select the people in the hull who cannot be a limb of a tracked person: tall ones, and those who stand far enough
-    from all tracked people.
+def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> list[HullPerson]:
+    """Leave out parts of the hull that may be a limb of a tracked person.
+
+    found: possible people in the hull.
+    people: tracked people.
+    Returns: the tall ones, and the others that stand farther than SETTINGS.newcomer_reach from every tracked person
+        whose place is known.
     """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
@@ -205,7 +211,7 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[H
 def candidate_evidence(
     person: HullPerson, frame: Frame, known: Sequence[Other], neighbours: Sequence[HullPerson] = ()
 ) -> Frame:
-    """Return the frame as evidence for one person in the hull.
+    """Return the frame with the evidence of one person in the hull; what others cover is left out.
 
     known: people who are tracked already.
     neighbours: other people in the hull.
@@ -216,30 +222,31 @@ def candidate_evidence(
     return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
-def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
-    """Fit the pose of a person, whose body is known, to new evidence, starting from its visual hull.
+def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
+    """Fit the pose of a person, whose body is known, to new evidence, starting from the visual hull of this
+    evidence.
 
     p: the person.
     own: frame as evidence for one person in the hull, see `candidate_evidence`.
     Returns: the prepared evidence, and the pose (D,).
-    Raises: EvidenceError where the evidence shows no person.
-    """
+    Raises: EvidenceError where the evidence shows no person."""
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
 
 
 def returned(
-    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
-) -> tuple[Followed, Array] | None:
+    person: HullPerson, own: Frame, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, Array] | None:
     """Find which of the people who are away is the person in the hull.
 
-    Place: no person walks faster than SETTINGS.newcomer_walking from where they were last seen. Clothes, where pictures
-        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most alike
+    The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
+        seen. Clothes, where pictures
+        show them: not too different. Body: about as tall as the hull. Of several, the one whose clothes are most
+            alike
         and whose body overlaps the masks best.
-    Returns: the person and the pose (D,) now; None: none of them.
-    """
-    best: tuple[float, Followed, Array] | None = None
+    Returns: the person and the pose (D,) now; None: none of them."""
+    best: tuple[float, TrackedPerson, Array] | None = None
     for p in people:
         if p.member.sure:
             continue
@@ -250,7 +257,9 @@ def returned(
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
-            like = appearance_likeness(p, appearance_in(p.subject.body, pose, own))
+            known, seen_now = p.appearance, appearance_in(p.subject.body, pose, own)
+            like = (known.worn if known.met else known.worn + known.lately).likeness(seen_now)
+            like = like if np.isfinite(like) else 1.0  # the clothes of one of them are not known
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
                 best = (score, p, pose)
@@ -260,7 +269,9 @@ def returned(
     return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
 
 
-def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
+def identity_switches(
+    person: HullPerson, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, int] | None:
     """Find the tracked person who stood where a person is found now, but whose track then moved away faster than people
     walk.
 
@@ -283,8 +294,8 @@ def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate
 
 
 def back_again(
-    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
-) -> tuple[Followed, Array] | None:
+    person: HullPerson, own: Frame, people: Sequence[TrackedPerson], frame_rate: float
+) -> tuple[TrackedPerson, Array] | None:
     """Find the person who is back in the hull, and correct a track that was drawn away from there.
 
     Where another person's track was drawn away (`identity_switches`), that person is the result, and the frames since
@@ -298,16 +309,17 @@ def back_again(
     with contextlib.suppress(EvidenceError):
         pose = found_again(who, own)[1]
         if back is None:
-            who.was_not(since, "because another person was found where they had stood")
+            who.mark_mistaken(since, "because another person was found where they had stood")
         else:
             swap_identities(back[0], who, since, "because this one was found where the other had stood")
         return who, pose
     return back
 
 
-def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
-    """Return a sentence on people or objects to which no body could be fitted; coming: (x, y, failed fits, ...) of the
-    last look.
+def untracked_note(candidates: Sequence[Array]) -> tuple[str, ...]:
+    """Return a sentence on people or objects to which no body could be fitted; none where there are none.
+
+    candidates: as `TrackingSession.candidates` after the last frame.
     """
-    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
+    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in candidates if c[2] > 1)
     return (f"a person or an object at {at} m is not tracked, since no body could be fitted to it",) if at else ()

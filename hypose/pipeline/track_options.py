@@ -25,17 +25,19 @@ class TrackOptions:
 
     recipe: name of a preset.
     refine: contour refinement after a published recipe.
-    evidence: one that the preset allows; None: its usual one.
-    seed: of random numbers.
-    start, height, girths: see SubjectOptions; for one camera see `subject_in_picture`.
+    evidence: kind of evidence, one that the preset allows; None: the usual one of the preset.
+    seed: seed of random numbers.
+    start: how the start pose is found: 'auto', 'keypoints', 'hull' or the name of a known pose; with one camera
+        'auto', 'keypoints' or a file of clicked joints.
+    height: height of the person, m; None: that of recording.toml, else estimated.
+    girths: fit girths to the silhouettes where the body comes from key points.
     subject: file of a given body.
     smooth: solve all frames together at the end, if the recipe does that.
-    checkpoint_every: frames.
+    checkpoint_every: number of frames between two checkpoints.
     sure_start: a user confirmed that left and right are the right way round at the start.
     particles: number of hypotheses; None: that of the recipe.
     own: options that only this recipe has, by name (`Preset.make`).
-    Raises: InputError names a value that is not possible.
-    """
+    Raises: InputError names a value that is not possible."""
 
     recipe: Annotated[
         str, Option("Method; with one camera monocular.", choices=RECIPE_NAMES, value="NAME", group=RESEARCH)
@@ -97,7 +99,7 @@ class TrackOptions:
 
     @property
     def looks_at(self) -> str:
-        """The kind of evidence that is used."""
+        """Name of the kind of evidence that is used: that of the option, else the usual one of the preset."""
         return self.evidence or self.preset.evidence[0]
 
     @property

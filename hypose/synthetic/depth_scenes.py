@@ -67,7 +67,7 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
     """Make a rig of depth sensors by name.
 
     name: depth-1 (in front), depth-2 (front and side), depth-3 (all round), or depth-N up to 8, in a ring.
-    distance, height: of the sensors from the centre and above the floor, m.
+    distance, height: distance and height of the sensors from the centre and above the floor, m.
     Raises: InputError for another name.
     """
     count = name.removeprefix("depth-")
@@ -104,12 +104,12 @@ def to_profile(frames: int, seed: int) -> Array:
 class DepthScene(OfPerformance):
     """Synthetic recording of depth sensors with known truth.
 
-    name: of the scene.
+    name: name of the scene.
     subject: body of the person (dressed).
     performance: motion of the person.
     rig: the sensors, pinhole.
-    faults: of the sensors.
-    seed: of everything random.
+    faults: faults of the sensors.
+    seed: seed of all random numbers.
     furniture: boxes that may hide the person: x, y of the middle, width along x, along y, height, m.
     others: further people with their motions.
     """
@@ -187,7 +187,7 @@ def depth_scene(
 
     performance, subject: motion, and body of the person.
     sensors: name of a rig (`depth_rig`), or a rig.
-    seed: of everything random.
+    seed: seed of all random numbers.
     """
     rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
@@ -207,7 +207,7 @@ def sensed(
     """Add the faults of a sensor to a depth map.
 
     clean: (h, w) m without faults.
-    camera: of the sensor.
+    camera: camera of the sensor.
     faults: to add.
     pattern: (h, w) m, fixed pattern of the sensor.
     others: number of other sensors that disturb it.
@@ -259,8 +259,7 @@ def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
 
 def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMap:
     """Render a mesh: depth (h, w) m, infinite where nothing is drawn; vertices (V, 3) m world, faces (F, 3)."""
-    z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    return rasterize(camera.project_pinhole(vertices), z, faces, camera.size)[0]
+    return rasterize(camera.project_pinhole(vertices), camera.depths(vertices), faces, camera.size)[0]
 
 
 def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:

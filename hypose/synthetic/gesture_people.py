@@ -107,8 +107,8 @@ class ArmGoal:
 class GesturePerson:
     """Body of a person with fingers, V vertices and 51 joints.
 
-    name: of the person.
-    joint_names, parents: of the joints.
+    name: name of the person.
+    joint_names, parents: names and parents of the joints.
     vertices: (V, 3) float32 m at rest, in the body's frame (origin at the pelvis, x = the person's left, y = backward,
         z = up).
     joints: (51, 3) m at rest, in the same frame.

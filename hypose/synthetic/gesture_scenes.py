@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hypose.compute import depth_sensor
 from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, se3, transform
 from hypose.gestures.depth_pictures import KINECT
 from hypose.synthetic.corruptions import box_mesh, joined_meshes
 from hypose.synthetic.gesture_people import GesturePerson, Puppet, load_people, rotation_about
@@ -51,18 +51,6 @@ class GestureRoom:
     wall: float
 
 
-@dataclass(frozen=True)
-class _View:
-    """Camera pose: camera_from_world rotation (3, 3), and position (3,) m in the world."""
-
-    rotation: Array
-    position: Array
-
-    def points(self, world: NDArray) -> NDArray:
-        """Transform points (N, 3) from the world to the camera's frame."""
-        return (world - self.position) @ self.rotation.T
-
-
 def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
     """Make a random room.
 
@@ -91,33 +79,38 @@ def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
     return GestureRoom(*joined_meshes(parts), float(wall))
 
 
-def make_view(rng: np.random.Generator, distance: float) -> _View:
-    """Make a random camera `distance` m in front of the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
+def make_view(rng: np.random.Generator, distance: float) -> Array:
+    """Make the place of a random camera `distance` m in front of the person, 1.0 to 1.6 m high, up to 20 degrees to the
+    side.
+
+    Returns: camera_from_world (4, 4), m.
+    """
     height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
     tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
     position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
     forward = rotation_about([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
     right = np.cross(forward, [0, 0, 1])
     forward = rotation_about(right, -tilt) @ forward
-    return _View(np.stack([right, np.cross(forward, right), forward]), position)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return se3(rotation, -rotation @ position)
 
 
 def render(
     people: Sequence[tuple[GesturePerson, Array]],
     behind: NDArray[np.float32],
-    view: _View,
+    view: Array,
     rng: np.random.Generator,
 ) -> tuple[DepthImage, NDArray[np.float32]]:
     """Render people in front of a backdrop with a simulated depth sensor.
 
     people: (person, vertices in the world) of each.
     behind: (480, 640) inverse depth of the empty room, 1/m (`Setting.behind`).
-    view: the camera.
+    view: camera_from_world (4, 4), m.
     Returns: depth (480, 640) uint16 mm as sensed, and the exact inverse depth (480, 640) 1/m.
     """
     inverse = behind.copy()
     for person, vertices in people:
-        depth_sensor.draw(view.points(vertices), person.faces, _PINHOLE, inverse)
+        depth_sensor.draw(transform(view, vertices), person.faces, _PINHOLE, inverse)
     return depth_sensor.sense(inverse, KINECT.fx, rng), inverse
 
 
@@ -136,17 +129,17 @@ class Setting:
     """Room seen by a camera.
 
     room: the room.
-    view: the camera.
+    view: camera_from_world (4, 4), m.
     """
 
     room: GestureRoom
-    view: _View
+    view: Array
 
     @cached_property
     def behind(self) -> NDArray[np.float32]:
         """(480, 640) inverse depth of the empty room, 1/m."""
         inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
-        depth_sensor.draw(self.view.points(self.room.vertices), self.room.faces, _PINHOLE, inverse)
+        depth_sensor.draw(transform(self.view, self.room.vertices), self.room.faces, _PINHOLE, inverse)
         return inverse
 
 
@@ -184,8 +177,8 @@ class SimulatedFrame:
 def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[SimulatedFrame, bool, None]:
     """Yield endless frames of a simulated person in a furnished room before a fixed camera.
 
-    number: of the person.
-    name: of the gesture.
+    number: number of the person.
+    name: name of the gesture.
     rate: Hz.
 
     After the first frame `send(True)` asks the person for the gesture, `send(False)` for anything else.
@@ -204,9 +197,9 @@ def _frames(
 ) -> Generator[SimulatedFrame, bool, None]:
     """Yield the frames of `live_person`.
 
-    number: of the person, which decides the leading hand.
+    number: number of the person, which decides the leading hand.
     puppet: the person, who is posed.
-    name: of the gesture.
+    name: name of the gesture.
     rng: random numbers.
     rate: Hz.
     """
@@ -241,7 +234,7 @@ def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng
     """Draw the next pose of the simulated person.
 
     puppet: the person, who is posed in it.
-    name: of the gesture that is asked for; None: movement, or one of the other gestures.
+    name: name of the gesture that is asked for; None: movement, or one of the other gestures.
     others: names of the other gestures.
     leading: side of the leading hand.
     rng: random numbers.
@@ -265,7 +258,7 @@ def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng:
     depth, inverse = render([(puppet.person, stand_at(puppet))], setting.behind, view, rng)
     if name is None:
         return SimulatedFrame(depth, None, True)
-    p = view.points(annotated(puppet, name, leading) - [0, 0, puppet.person.ground])
+    p = transform(view, annotated(puppet, name, leading)[None] - [0, 0, puppet.person.ground])[0]
     x, y = float(p[0] / p[2] * KINECT.fx + KINECT.cx), float(p[1] / p[2] * KINECT.fy + KINECT.cy)
     if not (25 < x < PICTURE_SIZE[0] - 25 and 25 < y < PICTURE_SIZE[1] - 25):
         return SimulatedFrame(depth, None, False)

@@ -60,11 +60,11 @@ def _keyed(
 ) -> Angles:
     """Join key poses monotonically, smooth them, and add a little sway.
 
-    name: of the motion.
+    name: name of the motion.
     t: (T,) s, times of the frames.
     keys: instants (s) and key poses, in their order; poses that follow at the same time are left out.
     take: random variation.
-    stance: of the feet.
+    stance: stance of the feet.
     smooth: sd of the smoothing, s.
     """
     keys = [k for i, k in enumerate(keys) if i == 0 or k[0] > keys[i - 1][0] + 1e-6]
@@ -116,7 +116,7 @@ def _course(
 ) -> Callable[..., Performance]:
     """Make the function of a motion that repeats a course of key poses; its arguments are those of `act`.
 
-    name: of the motion.
+    name: name of the motion.
     rest: channels of the pose at rest.
     poses: channels of the key poses, which override _RELAXED.
     course: instants within the course, s at normal speed, each with the number of its pose (0: at rest).
@@ -559,11 +559,11 @@ def _gait(
 ) -> Angles:
     """Make the angles of walking or running.
 
-    name: of the motion.
+    name: name of the motion.
     t: (T,) s.
     rng: for the variation between strides; None: none.
     amplitude, speed: factors of size and speed.
-    radius: of the circle on which the person travels, m.
+    radius: radius of the circle on which the person travels, m.
     jog: running instead of walking.
     """
     take = Take(rng)
@@ -618,7 +618,7 @@ def walk(
 ) -> Performance:
     """Simulate walking at about 1.2 m/s.
 
-    radius: of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
+    radius: radius of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
     """
     return _around(
         perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
@@ -636,7 +636,7 @@ def jog(
 ) -> Performance:
     """Simulate slow running with short flights.
 
-    radius: of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
+    radius: radius of the circle, to the left, m (infinite: straight on). Other arguments as in `act`.
     """
     return _around(
         perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)

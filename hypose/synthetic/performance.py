@@ -65,7 +65,7 @@ class Stance(NamedTuple):
 class Angles:
     """Motion as joint angles over time.
 
-    name: of the motion.
+    name: name of the motion.
     times: (T,) s.
     values: (T,) by channel, one of CHANNELS; missing channels are 0.
     stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
@@ -88,7 +88,7 @@ class Angles:
 class Performance:
     """Exact motion of a subject.
 
-    name: of the motion.
+    name: name of the motion.
     times: (T,) s.
     rotations: (T, 19, 3, 3) world_from_joint.
     root: (T, 3) m, pelvis in the world.
@@ -142,7 +142,7 @@ class OfPerformance:
 def assemble(name: str, subject: SyntheticSubject, times: Array, rotations: Array, root: Array) -> Performance:
     """Make a performance with the joint centres of the subject's own bones.
 
-    name: of the motion.
+    name: name of the motion.
     subject: the person.
     times: (T,) s.
     rotations: (T, 19, 3, 3) world_from_joint.
@@ -255,7 +255,7 @@ def _soft_minimum(values: Array, width: float) -> Array:
 def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tuple[Array, Array]:
     """Compute the path of a body whose feet push it along a circle.
 
-    angles: of the motion.
+    angles: angles of the motion.
     subject: the person.
     rotations: (T, 19, 3, 3) of the joints, facing -y.
     Returns: root path (T, 3) m, and heading rotations (T, 3, 3) by which the rotations are to be turned.
@@ -302,7 +302,7 @@ def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tupl
 def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Array) -> tuple[Array, Array]:
     """Compute a motion with the feet at their stance and the legs by inverse kinematics.
 
-    angles: of the motion.
+    angles: angles of the motion.
     subject: the person.
     world: (T, 19, 3, 3) rotations of the joints relative to the hanging pose.
     align: (19, 3, 3) rotations from the rest to the hanging pose.
@@ -394,7 +394,7 @@ def heading(rotation: Array) -> float:
 def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
     """Join performances one after the other, cross-faded over `blend` seconds.
 
-    name: of the result.
+    name: name of the result.
     parts: the performances, of one subject.
     Returns: one performance. Each part starts where the one before ends, facing the same way; the ground contact is
         restored in the blends.

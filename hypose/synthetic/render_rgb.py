@@ -130,7 +130,7 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
     depth = np.full((h, w), np.inf, np.float32)
     if occluder is not None:
         vertices, faces = occluder
-        depth, face, bary = rasterize(camera.project(vertices), _depth(camera, vertices), faces, camera.size)
+        depth, face, bary = rasterize(camera.project(vertices), camera.depths(vertices), faces, camera.size)
         drawn = face >= 0
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         n = np.cross(b - a, c - a)
@@ -142,11 +142,6 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
         image[drawn] = np.array([60.0, 85.0, 110.0]) * (shade[face[drawn]] * wood)[:, None]
         floor = floor & ~drawn
     return Backdrop(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6), dtype=np.float32), floor, depth)
-
-
-def _depth(camera: Camera, points: Array) -> Array:
-    """Compute the depths (N,) m of points (N, 3) m, world, in front of a camera."""
-    return points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
 
 
 @dataclass(frozen=True)
@@ -255,7 +250,7 @@ def render_person(
     samples: samples per pixel and axis.
     """
     cast_shadow(picture, backdrop, camera, subject, vertices)
-    uv, z = camera.project(vertices), _depth(camera, vertices)
+    uv, z = camera.project(vertices), camera.depths(vertices)
     w, h = camera.size
     good = np.isfinite(uv).all(1)
     if not good.any():
@@ -309,7 +304,7 @@ def cast_shadow(
 
     picture: (h, w, 3) float32 BGR.
     backdrop: whose visible floor is darkened.
-    camera: of the picture.
+    camera: camera of the picture.
     subject, vertices: the body, and its vertices (V, 3) m, world.
     """
     mask = shadow_mask(camera, subject.faces, vertices)
@@ -330,7 +325,7 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
     """
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
-    return covered(camera.project(ground), _depth(camera, ground), faces, camera.size[::-1])
+    return covered(camera.project(ground), camera.depths(ground), faces, camera.size[::-1])
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:

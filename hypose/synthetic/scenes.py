@@ -70,7 +70,7 @@ def look_at(
 ) -> Camera:
     """Make an upright camera at `position` (3,) m that looks at `target` (3,) m.
 
-    name: of the camera.
+    name: name of the camera.
     focal_px: focal length, px.
     size: (width, height), px.
     distortion: (5,) of the lens, or None.
@@ -148,13 +148,13 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 class Scene(OfPerformance):
     """Synthetic recording of colour cameras with known truth.
 
-    name: of the scene.
+    name: name of the scene.
     subject: true body of the person (dressed).
     performance: motion of the person.
     rig: the true cameras.
     given_rig: the calibration that the user has.
     corruption: faults of the recording.
-    seed: of everything random.
+    seed: seed of all random numbers.
     others: further people in view (subject, performance) that are not to be tracked.
     sensor: properties of the cameras.
     hands_only: whether the clothes leave only face and hands bare, and none has the colour of skin.
@@ -250,7 +250,7 @@ class Scene(OfPerformance):
         if mesh is None:
             return None
         camera = self.rig.pinhole().scaled(scale)[view]
-        return rasterize(*_projected(camera, mesh[0]), mesh[1], camera.size)[0]
+        return rasterize(camera.project_pinhole(mesh[0]), camera.depths(mesh[0]), mesh[1], camera.size)[0]
 
     def _mask(self, view: int, subject: SyntheticSubject, vertices: Array, scale: float) -> Mask:
         """Render the mask of one body, cut by the occluder.
@@ -260,7 +260,7 @@ class Scene(OfPerformance):
         scale: size of the mask relative to the camera's picture.
         """
         camera, hidden = self.rig.pinhole().scaled(scale)[view], self.occluder_depth(view, scale)
-        uv, z = _projected(camera, vertices)
+        uv, z = camera.project_pinhole(vertices), camera.depths(vertices)
         if hidden is None:
             return covered(uv, z, subject.faces, camera.size[::-1])
         return (rasterize(uv, z, subject.faces, camera.size)[0] < hidden).astype(np.uint8)
@@ -351,12 +351,6 @@ class Scene(OfPerformance):
         return noise_bank((int(size[0]), int(size[1])), self.sensor.noise_sd, rng)
 
 
-def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
-    """Project vertices (V, 3) m, world, to pixels (V, 2) of a pinhole camera, with their depths (V,) m."""
-    z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    return camera.project_pinhole(vertices), z
-
-
 def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:
     """Simulate BODY_25 detections of the subject in one camera's own (distorted) images.
 
@@ -413,7 +407,7 @@ def make_scene(
     subject: a name of `load_subjects` ("": chosen by the seed), or a SyntheticSubject.
     rig: a name (`camera_rig`) or a rig; "court-4" adds a second person.
     seconds, frame_rate: s and Hz.
-    seed: of everything random.
+    seed: seed of all random numbers.
     corruption: Corruptions, or names of them.
     clothing_m: thickness of the clothes, 0 to 0.04 m.
     distorted: whether lenses have distortion.

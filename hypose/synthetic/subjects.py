@@ -12,8 +12,9 @@ from functools import cached_property, lru_cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hypose.body.body import Mesh
 from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
@@ -21,25 +22,19 @@ from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
-class SyntheticSubject:
+class SyntheticSubject(Mesh):
     """Person with exactly known mesh and joints.
 
+    The mesh is at rest in the model frame: origin at the pelvis joint, x = the subject's left, y = backward, z = up.
+
     name: of the subject.
-    vertices: (V, 3) m in the model frame at rest (origin at the pelvis joint, x = the subject's left, y = backward, z =
-        up).
-    joints: (19, 3) m in the same frame.
-    faces: (F, 3), counter-clockwise seen from outside.
-    skin_index, skin_weight: (V, 4) joints that carry a vertex and their weights.
+    joints: (19, 3) m in the model frame at rest.
     cloth_weight: (V,) 0..1, where clothes may lie.
     clothing_m: thickness of the clothes, m.
     """
 
     name: str
-    vertices: Array
     joints: Array
-    faces: NDArray[np.int32]
-    skin_index: NDArray[np.int32]
-    skin_weight: Array
     cloth_weight: Array
     clothing_m: float = 0.0
 
@@ -55,17 +50,10 @@ class SyntheticSubject:
         return float(np.mean([np.linalg.norm(j[a] - j[a + 1]) for a in (13, 14, 16, 17)]) * 2)
 
     @cached_property
-    def dense_weights(self) -> Array:
+    def _weights(self) -> Array:
         """(V, 19) skinning weights, rows sum to 1."""
-        w = np.zeros((len(self.vertices), len(JOINT_NAMES)))
-        for k in range(4):
-            np.add.at(w, (np.arange(len(w)), self.skin_index[:, k]), self.skin_weight[:, k])
+        w = self.dense_weights(len(JOINT_NAMES))
         return w / w.sum(1, keepdims=True)
-
-    @cached_property
-    def main_joint(self) -> NDArray[np.int64]:
-        """(V,) joint of largest weight."""
-        return self.dense_weights.argmax(1)
 
     def place_joints(self, rotations: ArrayLike, root: ArrayLike) -> Array:
         """Compute the joint centres (..., 19, 3) m for world_from_joint rotations (..., 19, 3, 3) and pelvis positions
@@ -85,7 +73,7 @@ class SyntheticSubject:
         centres = self.place_joints(r, root)
         offset = centres - np.einsum("jab,jb->ja", r, self.joints)
         moves = np.concatenate([r.reshape(-1, 9), offset], 1)
-        m = self.dense_weights @ moves
+        m = self._weights @ moves
         return np.einsum("vab,vb->va", m[:, :9].reshape(-1, 3, 3), self.vertices) + m[:, 9:]
 
 
@@ -100,12 +88,12 @@ def load_subjects() -> dict[str, SyntheticSubject]:
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)
         out[str(name)] = SyntheticSubject(
-            str(name),
             vertices[k] - joints[0],
-            joints - joints[0],
             data["faces"].astype(np.int32),
             data["skin_index"].astype(np.int32),
             data["skin_weight"].astype(np.float64),
+            str(name),
+            joints - joints[0],
             data["cloth_weight"].astype(np.float64),
         )
     return out
@@ -117,7 +105,8 @@ MAX_CLOTHING_M = 0.04
 def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generator) -> SyntheticSubject:
     """Dress a subject: move its surface outwards, joints stay.
 
-    thickness_m: of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1, less
+    thickness_m: thickness of the clothes (<= 0.04 m); the displacement is 0.3 to 1 times this where cloth_weight is 1,
+        less
         towards bare parts.
     Returns: the dressed subject.
     Raises: InputError for a thickness outside the range.

@@ -130,7 +130,7 @@ def _write_video(
 ) -> None:
     """Write pictures as a video.
 
-    path: of the file.
+    path: path of the file.
     frame_rate: Hz.
     size: (width, height) px, to which pictures are cut.
     pictures: (h, w, 3) BGR.
@@ -159,7 +159,7 @@ def walking_scene(
     subject: name of the subject ("": chosen by the seed).
     sensors: name of the rig (`depth_rig`).
     seconds, frame_rate: s and Hz.
-    seed: of everything random.
+    seed: seed of all random numbers.
     clothing_m: thickness of the clothes, m.
     """
     known = load_subjects()

@@ -41,15 +41,15 @@ Chosen on the seeds 0 to 29 (benchmark `depth`)."""
 
 @dataclass(frozen=True)
 class LookedUp:
-    """Settings that choose which arms of a table become rivals. Lengths are m, of elbow, wrist or hand.
+    """Settings that choose which arm poses of a table (`ArmReach`) become rivals, alternative poses of an arm.
+    Lengths are displacements of elbow, wrist or hand, m.
 
-    cutoff: m^2 by which an arm's points may fit worse than the current arm's.
-    pool: number of arms that are drawn.
+    cutoff: amount by which the score of an arm may be worse than that of the current arm, m^2.
+    pool: largest number of arm poses of the table that are compared in full.
     far: least distance from the current arm and from each other.
     ratio: largest energy relative to the current one, before solving.
     most: largest number of rivals per arm.
-    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same.
-    """
+    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
 
     cutoff: float = 0.1
     pool: int = 192
@@ -62,12 +62,12 @@ class LookedUp:
 class Contest:
     """Settings for comparing hypotheses over time; chosen on the same scenes as LookedUp.
 
-    memory: share of the last frame's score that counts again.
-    doubt: penalty of a new rival, in mismatches of the estimate.
+    memory: share of the score of the last frame that is added to the score of this frame.
+    doubt: penalty of a new rival, as a multiple of the estimate's mismatch.
     apart: arms nearer than this are one hypothesis, m.
-    behind: share of its mismatch by which a kept hypothesis may be worse than the best.
-    softness: score difference that corresponds to a log-weight of 1.
-    """
+    behind: largest amount by which the mismatch of a kept hypothesis may exceed that of the best one, as a share of
+        it.
+    softness: score difference that corresponds to a log-weight of 1."""
 
     memory: float = 0.8
     doubt: float = 0.02
@@ -86,11 +86,11 @@ class RefineRivals:
     arm found elsewhere).
     arms: tables of reach, each with a function that decides when it is searched.
     keep: largest number of hypotheses.
-    options: of solves from a prediction; near: of solves that begin near their end; with_depth: of all solves where
-        there are depth cameras.
+    options: settings of solves from a prediction.
+    near: settings of solves whose start is near the solution.
+    with_depth: settings of all solves where there are depth cameras.
     margin: share of the energy that the limb search must gain before its result is solved.
-    look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures.
-    """
+    look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures."""
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
     keep: int = 3
@@ -139,8 +139,7 @@ class RefineRivals:
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Start solving the rivals of the last frame in the background.
 
-        frame: in whose `shared` the running solves are left, one per rival.
-        """
+        frame: prepared frame; its `shared` gets the running solves, one per rival."""
         if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
@@ -148,9 +147,8 @@ class RefineRivals:
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
         """Start the search of the arm tables in the background.
 
-        h: hypotheses after the first solve, of which one has the role SOLVED; frame: in whose `shared` the result is
-            left.
-        """
+        h: hypotheses after the first solve, of which one has the role SOLVED; frame: prepared frame; its `shared`
+            gets the running search."""
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
@@ -297,13 +295,13 @@ class RefineRivals:
 def rival_arms(
     arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp, known: Array | None = None
 ) -> list[Array]:
-    """Find poses that differ from a pose in one arm, which lies in the masks where the body does not cover them.
+    """Find poses that differ from a pose in one arm only; the new arm covers parts of the masks that the body does
+    not cover yet.
 
     arm: table of the arm; frame: prepared; look: limits of the choice.
-    pose: (D,).
+    pose: (D,) current pose.
     known: (K, D) poses whose arm is not to be found again (default: `pose`).
-    Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose.
-    """
+    Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose."""
     body, standing = frame.body, None
     if frame.depth.seen:
         standing = frame.depth.standing(body, pose, arm.moving)

@@ -41,13 +41,12 @@ class ArmReach:
 
     body: the body of the arm.
     own: (d,) the arm's coordinates.
-    parent: joint that carries the arm (the chest); chain: shoulder, elbow, wrist.
+    parent: joint that carries the arm (the chest); chain: indices of shoulder, elbow and wrist.
     tip: (3,) tip of the hand in the wrist's frame, m.
     moving: (J,) true for the arm's joints.
     poses: (N, d) values of the coordinates.
     points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m.
-    area: (8,) area that each point stands for, m^2.
-    """
+    area: (8,) area that each point stands for, m^2."""
 
     body: Body
     own: NDArray[np.int64]
@@ -61,7 +60,7 @@ class ArmReach:
 
     @cached_property
     def ends(self) -> Array:
-        """Return elbow, wrist and hand (N, 3, 3) of all poses of the table, in the parent's frame, m."""
+        """Positions (N, 3, 3) of elbow, wrist and hand in all poses of the table, in the parent's frame, m."""
         return np.ascontiguousarray(ends(self.points))
 
     def here(self, poses: Array) -> Array:
@@ -84,19 +83,23 @@ class ArmReach:
         return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute the scores of `score` against given masks instead of a frame's.
+        """Compute how badly arms at given points fit given masks, in m^2, as `score` does for the masks of a frame.
 
-        points, pose, rest, cutoff: as for `score`; masks: prepared for the scorer.
-        """
+        points: (N, 8, 3) in the parent's frame, m; pose: (D,) pose of the rest of the body; rest: drawing of the
+            parts that do not move.
+        cutoff: points are no longer counted once the score is above it.
+        masks: prepared for the scorer.
+        Returns: (N,) scores, exact up to the cutoff."""
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 
 
 def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return the range of joint angles (D,), (D,) that people use: 60 % of the limits of ball joints, 0 for the root.
+    """Return the range of joint angles that people use: 60 % of the limits of ball joints, 0 for the root.
 
-    Why: poses in the corners of a ball's limits are unnatural.
-    """
+    Returns: lower and upper end of the range, (D,) each.
+
+    Why: poses in the corners of a ball's limits are unnatural."""
     lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
     lower[:6] = upper[:6] = 0
     for start in skeleton.ball_starts[1:]:
@@ -124,11 +127,12 @@ def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
 
 
 def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> ArmReach:
-    """Build the table of an arm, with its coordinates spread evenly between lower and upper (D,).
+    """Build the table of an arm's poses over its whole reach.
+
+    lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
 
     joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
-    count: number of poses.
-    """
+    count: number of poses."""
     s, side = body.skeleton, joints[0].split("_")[0]
     own = s.dofs_of(*joints)
     a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
@@ -168,7 +172,8 @@ def _points(
 ) -> Array:
     """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
 
-    the_way: of `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of the hand in
+    the_way: as returned by `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of
+        the hand in
         the wrist's frame, m.
     """
     way, tree = the_way

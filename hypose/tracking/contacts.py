@@ -20,15 +20,14 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """Settings for finding and holding foot contacts.
+    """Settings for finding and holding foot contacts; each field begins with its unit.
 
     slow, fast: m/s, a contact begins below slow and ends above fast.
     shortest: s, shortest contact.
     near: m above the floor that still counts as on it.
     common: share of the contact frames within `near` of one height that makes it a floor.
     drift: m, a point that moves further away begins a new contact.
-    hold: m, standard deviation with which a point in contact is held.
-    """
+    hold: m, standard deviation with which a point in contact is held."""
 
     slow: float = 0.25
     fast: float = 0.5
@@ -65,10 +64,10 @@ def soles_of(body: Body) -> Landmarks:
 class Contacts:
     """Foot contacts of a motion.
 
-    touching: (T, 4) true where a point of the soles stands.
-    place: (T, 4, 3) where it stands, m; NaN where it does not.
-    floor: common height, m; NaN: none.
-    """
+    touching: (T, 4) true where a point of the soles stands on the ground; the points are left heel, left ball, right
+        heel and right ball.
+    place: (T, 4, 3) where the point stands, m, world; NaN where it is not in contact.
+    floor: common height of the contacts, m; NaN where they have none."""
 
     touching: NDArray[np.bool_]
     place: Array
@@ -111,7 +110,10 @@ def find_contacts(
 def contact_terms(
     contacts: Contacts, soles: Landmarks, settings: ContactSettings | None = None
 ) -> list[list[PointTerm]]:
-    """Build the solver terms that hold the soles at their contacts, one list per frame."""
+    """Build the solver terms that hold the soles at their contacts.
+
+    soles: the four points on the body (`soles_of`).
+    Returns: one list of terms per frame; empty where no point is in contact."""
     o = settings or ContactSettings()
     return [
         [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]
@@ -134,7 +136,7 @@ class FootMotion:
 def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
-    positions: of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
+    positions: positions of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]

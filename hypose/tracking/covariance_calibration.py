@@ -175,9 +175,8 @@ def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, Sequence[flo
 def apart_factors(evidence: str) -> tuple[float, float, float]:
     """Look up how contradictions between views widen the standard deviations, for a kind of evidence.
 
-    Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. (inf, 0, 0) with key points: their
-        solve finds the wrong view and lowers its weight.
-    """
+    Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. Returns (inf, 0, 0) with key
+        points: their solve finds the wrong view and lowers its weight."""
     usual, joints, angles = fitted_spread_table()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
@@ -185,8 +184,8 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
 def beyond_usual(audit: ArrayLike, evidence: str) -> float:
     """Compute by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual, m.
 
-    evidence: kind of evidence; the result is 0 for kinds whose usual contradiction was not measured.
-    """
+    audit: features of the error model, see `joint_features.AUDITED`.
+    evidence: kind of evidence; the result is 0 for kinds whose usual contradiction was not measured."""
     return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 
@@ -210,11 +209,10 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
 
 
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
-    """Compute a motion's calibrated standard deviations of angles from the covariances (T, D, D) of its poses.
+    """Set a motion's calibrated standard deviations of angles, computed from the covariances (T, D, D) of its poses.
 
     evidence: kind of evidence, a key of `fitted_spread_table`.
-    beyond: contradiction between the views, m, see `beyond_usual`.
-    """
+    beyond: contradiction between the views, m, see `beyond_usual`."""
     assert motion.poses is not None
     return with_angle_variance(motion, angle_variance(motion.skeleton, motion.poses, covariance), evidence, beyond)
 
@@ -274,7 +272,7 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
 def _belongs(name: str, begin: str) -> bool:
     """Decide whether an angle is in a set: 'hip_r' holds hip_flexion_r, 'pelvis' holds pelvis_tilt.
 
-    name: of the angle; begin: of the set, see _SETS.
+    name: name of the angle; begin: begin of the set, see _SETS.
     """
     part, _, side = begin.rpartition("_")
     return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

@@ -91,11 +91,11 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
 
 
 def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
-    """Solve a start pose (D,) from key points also on the masks of its frame; return it unchanged where there are no
-    masks.
+    """Refine a start pose (D,) that was found from key points, by a solve on key points and masks of its frame.
 
-    model: where key points sit on the body; frame: with key points.
-    """
+    Returns: (D,) pose; the start pose unchanged where there are no masks.
+
+    model: where key points sit on the body; frame: with key points."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start
 
@@ -103,7 +103,7 @@ def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Arra
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
     """Compute how many times as many frames to compare, because few points are seen.
 
-    model: of the key points; frames: of the person.
+    model: model of the key points; frames: frames of the person.
     Returns: 1 to _MOST_TIMES; 1 where half of the points or more are seen.
     """
     seen = [np.nan_to_num(k.points[:, model.known, 2]) > MIN_CONFIDENCE for k in pieces_of(frames, Keypoints)]
@@ -152,7 +152,7 @@ def _scatter(rows: OffsetResiduals, members: NDArray[np.bool_]) -> Array:
     """Compute the robust standard deviation (C,), m per axis, of these points' residuals (K,) in each view; NaN where
     few.
 
-    rows: of residuals; members: (K,) the points that are used.
+    rows: rows of residuals; members: (K,) the points that are used.
     """
     used = (rows.confidence > 0) & members
     metres = np.abs(rows.residual) / rows.size[..., None, None]

@@ -32,11 +32,11 @@ _KEYPOINT_OF = {"left_wrist": 3, "right_wrist": 4, "left_ankle": 5, "right_ankle
 
 
 def ends_of(body: Body) -> Landmarks:
-    """Locate the ends on a body: hands, head (middle of their skin), wrists and ankles (the joints).
+    """Locate the body ends: hands and head (middle of their skin), wrists and ankles (the joints).
 
-    Hands are put at three quarters of the way to the skin's middle, because a visual hull keeps little of the fingers:
-    detected hands lay 10 to 35 mm nearer to the wrist.
-    """
+    Hands are put at three quarters of the way to the skin's middle, because a visual hull keeps little of the
+    fingers:
+    detected hands lay 10 to 35 mm nearer to the wrist."""
     s, mesh = body.skeleton, body.fine
     rest, joint, offset = s.rest_joints, [], []
     for name in END_NAMES:
@@ -50,12 +50,13 @@ def ends_of(body: Body) -> Landmarks:
 
 
 def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, Array]:
-    """Find the ends that are detected in a frame.
+    """Find the body ends that are detected in a frame.
 
-    `Frame.detections` are used where there are any: named ones directly, unnamed ones assigned to hands and head by eq.
+    `Frame.detections` are used where there are any: named ones directly, unnamed ones assigned to hands and head by
+    eq.
     2.19 with the predicted pose. Otherwise wrists and ankles are triangulated from key points in two or more views.
-    Returns: index in END_NAMES -> (3,) position, m.
-    """
+    Returns: dictionary from the index of the end in END_NAMES to its position (3,), m, world; empty where nothing is
+        detected."""
     found: dict[int, Array] = {}
     for detections in frame.frame.of(Detections):
         unnamed = detections.part == UNNAMED
@@ -81,13 +82,14 @@ def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, A
 
 @dataclass(frozen=True)
 class DetectedLimb:
-    """Limb that analytic inverse kinematics can pose: a ball joint, the hinge below it, and the end it carries.
+    """Limb that analytic inverse kinematics can pose: a ball joint, the hinge joint below it, and the body end at
+    its tip.
 
-    joint: index of the ball joint; parent: of the joint that carries it.
-    ball, hinge: their first coordinates.
-    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest, m.
-    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre).
-    """
+    joint: index of the ball joint; parent: parent of the joint that carries it.
+    ball, hinge: index in the pose of the first coordinate of the ball joint, and of the coordinate of the hinge.
+    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) of the hinge; in the model frame at rest,
+        m.
+    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre)."""
 
     joint: int
     parent: int
@@ -168,7 +170,8 @@ def _between(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class DetectorDriven:
-    """Kernel that poses a part of the set on a detected end; the rest diffuses by the base kernel.
+    """Search kernel that poses a part of the hypotheses so that a limb reaches a detected body end; the others
+    diffuse by the base kernel.
 
     base: Gaussian kernel of the layer; moves all members first.
     end: indices in END_NAMES of the ends that can drive the layer; the first detected one is used.
@@ -177,11 +180,12 @@ class DetectorDriven:
     noise: sd of a detection per axis, m.
     swivel, far_swivel: sd of the rotation about the line to the end, rad; far_swivel for a third of the members.
     step: share of the members that change their kind per layer; least: smallest share of either kind.
-    Limbs are posed by analytic inverse kinematics. For the head, members take the least step, in units of sigma, that
+    Limbs are posed by analytic inverse kinematics. For the head, members take the least step, in units of sigma,
+    that
     brings it to the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later,
-    where more than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without a
-    detection all members only diffuse and keep their kinds.
-    """
+    where more than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without
+    a
+    detection all members only diffuse and keep their kinds."""
 
     body: Body
     ends: Landmarks
@@ -219,12 +223,13 @@ class DetectorDriven:
 
     @property
     def posed(self) -> str:
-        """Role of the members that are posed on the detection."""
+        """Name of the role that members of the set get which are posed on the detection."""
         return f"{self.limb} posed"
 
     @property
     def sorted(self) -> str:
-        """Role of the members whose kind is known: all, after the first detection."""
+        """Name of the role that marks members whose kind (posed or diffused) is decided; all members have it after
+        the first detection."""
         return f"{self.limb} sorted"
 
     def _kinds(self, h: Hypotheses, rng: np.random.Generator) -> NDArray[np.bool_]:

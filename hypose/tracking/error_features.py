@@ -113,7 +113,7 @@ def _highest(values: Array, size: int) -> Array:
 
 
 def mean_nearby(values: Array, size: int) -> Array:
-    """Average values (T, ...) over `size` frames; negative results become 0."""
+    """Average values (T, ...) over a window of `size` frames around each frame; negative results become 0."""
     return np.maximum(uniform_filter1d(values, size, axis=0, mode="nearest"), 0.0)
 
 

@@ -90,7 +90,9 @@ class ErrorModel:
     threshold: Array
 
     def of_joints(self, features: Array, names: tuple[str, ...]) -> Array:
-        """Compute the log-odds (T, J) of each joint from its own features (T, J, F) alone."""
+        """Compute the log-odds (T, J) that each joint is wrong, from its own features (T, J, F) alone.
+
+        names: names of the J joints."""
         z, groups = np.clip((features - self.middle) / self.scale, -6.0, 6.0), groups_of(names)
         weights = self.weights[groups]
         return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
@@ -104,7 +106,9 @@ class ErrorModel:
         return (within_clip(odds, names, clip) * self.in_clip[groups_of(names)]).sum(-1)
 
     def log_odds(self, features: Array, names: tuple[str, ...]) -> Array:
-        """Compute the log-odds (T, J) of the joints of one clip from their features (T, J, F)."""
+        """Compute the log-odds (T, J) that the joints of one clip are wrong, from their features (T, J, F).
+
+        names: names of the J joints."""
         odds = self.of_joints(features, names)
         return self.within(odds, names, error_level(odds, names))
 
@@ -142,7 +146,9 @@ def error_level(odds: Array, names: tuple[str, ...]) -> float:
 
 @cache
 def error_models() -> Mapping[str, ErrorModel]:
-    """Load the fitted models by evidence: "silhouettes", "keypoints", "both" and "depth"."""
+    """Load the fitted error models.
+
+    Returns: dictionary with one model per kind of evidence: "silhouettes", "keypoints", "both" and "depth"."""
     kept = json.loads(files("hypose.assets").joinpath("error_model.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/error_model.json was fitted to other features; run scripts/train_error_model.py")
@@ -246,7 +252,7 @@ def as_mixture(motion: Motion) -> Motion:
 
 
 def without_mixture(motion: Motion) -> Motion:
-    """Undo `as_mixture`: remove its widening from the motion's covariances, for fitting again."""
+    """Remove the widening that `as_mixture` added to the motion's covariances, so that they can be fitted again."""
     return _with_other_case(motion, -1.0)
 
 

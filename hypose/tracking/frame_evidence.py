@@ -49,15 +49,18 @@ _Cue = TypeVar("_Cue", bound=Evidence)
 class PreparedFrame:
     """One frame, prepared for the search of a body.
 
-    evidence: its cues, each prepared once.
-    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2 in
+    frame: the frame as it was read.
+    body: body that is searched.
+    evidence: cues of the frame, each prepared once.
+    prediction: (D,) pose predicted without the frame's evidence; prediction_weight: pull of solves to it, 1 / rad^2
+        in
         units of the robust rows' cost.
     usual_iou: usual overlap of the body with the masks so far; NaN: unknown.
     done: number of frames tracked before.
-    rivals: hypotheses of the last frame, each predicted into this one; None: the set moves as one.
+    rivals: hypotheses of the last frame, each predicted into this frame by its own motion; None: all hypotheses move
+        by the same prediction.
     memory: what the recipe has remembered so far.
-    fits: solves of single poses; shared: other results that a layer leaves for the next ones.
-    """
+    fits: results of solves, by pose; shared: other results that one layer stores for later layers."""
 
     frame: Frame
     body: Body
@@ -130,13 +133,15 @@ def prepare(
 
     prediction: (D,) predicted pose.
     use_silhouettes, use_keypoints: cues that are wanted; depth and further cues are used where they exist.
-    contour_weight: of a contour row; keypoint_scale_px: noise of key points where it is not measured.
+    contour_weight: weight of one residual of a contour.
+    keypoint_scale_px: noise of key points where it is not measured, px.
     keypoints_on_body: where key points sit on the body (default: at its landmarks).
-    own: evidence of the user's own.
-    prediction_weight, usual_iou, done: see PreparedFrame.
-    Raises: EvidenceError where the frame has none of the wanted cues, or its key points are not those of the subject.
-    A frame with the picture of one camera is not prepared; only unwanted cues are left out.
-    """
+    own: additional evidence that a user defined.
+    prediction_weight, usual_iou, done: pull to the prediction, usual overlap with the masks, number of frames
+        tracked before, as in PreparedFrame.
+    Raises: EvidenceError where the frame has none of the wanted cues, or its key points are not those of the
+        subject.
+    A frame with the picture of one camera is not prepared; only unwanted cues are left out."""
     if frame.picture is not None:
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
         seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)
@@ -176,14 +181,15 @@ def view_count(prepared: PreparedFrame) -> int:
 
 @dataclass(frozen=True)
 class SilhouetteXor:
-    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is
+    """Energy of hypotheses on silhouettes: E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight
+        is
     exp(-E).
 
     M_v: silhouette of the posed coarse mesh in view v; S_v: the mask; C: its number of foreground pixels (those
         expected of the whole person where others hide a part; ignored pixels count nowhere).
-    All hypotheses cost 0 where no view is usable. The energies of depth and of the user's own evidence are added.
-    Source: Alcoverro 2014, eq. 2.8.
-    """
+    All hypotheses have the energy 0 where no view is usable. The energies of depth and of evidence that a user added
+    are added to E.
+    Source: Alcoverro 2014, eq. 2.8."""
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """Compute the energies (N,) of h.values (N, D)."""
@@ -198,10 +204,10 @@ def frame_energy(
 ) -> Array:
     """Compute the energies (N,) of poses (N, D) of the frame's body on all its evidence.
 
-    The evidence is silhouettes (eq. 2.8), depth and the user's own.
-    moving: (J,) true for the joints that differ between the poses; all others are as in the last pose and drawn once.
-    rest: the parts that do not move, where they are drawn already.
-    """
+    The evidence is silhouettes (eq. 2.8), depth, and evidence that a user added.
+    moving: (J,) true for the joints that differ between the poses; all others are as in the last pose and drawn
+        once.
+    rest: the parts that do not move, where they are drawn already."""
     limb = None if moving is None else Limb(moving, rest)
     return evidence_energy(frame.body, poses, frame.evidence, limb)
 
@@ -225,13 +231,14 @@ def limb_energy(
     slack: float = 1.0,
     rest_depth: StandingDepth | None = None,
 ) -> Array:
-    """Compute `frame_energy` for poses that differ in one limb, exact only for poses near the first one.
+    """Compute the energies (N,) of poses that differ in one limb, on all evidence of a frame; exact only for poses
+    whose energy is near that of the first one.
 
-    frame: prepared.
-    poses: (N, D); moving: (J,) true for the joints that differ; rest: as for `frame_energy`.
+    frame: prepared frame.
+    poses: (N, D); moving: (J,) true for the joints that differ; rest: drawing of the parts that do not move; None:
+        it is made.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
-    rest_depth: the parts that do not move, as depth cameras see them.
-    """
+    rest_depth: the parts that do not move, as depth cameras see them."""
     body, silhouettes, depth = frame.body, frame.silhouettes, frame.depth
     if not silhouettes.seen or (depth.seen and len(poses) <= MEASURED):
         return frame_energy(poses, frame, moving, rest)
@@ -250,7 +257,8 @@ _IN_LANES = 8
 
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
-    """Compute the mean IoU of a pose with the masks over the views where it is known; 0 where there is none."""
+    """Compute the mean IoU of a pose with the masks over the views where it is known; 0 where it is known in no
+    view."""
     return _mean_of_known(frame.silhouettes.overlap(body, pose), 0.0)
 
 

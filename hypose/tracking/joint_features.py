@@ -83,7 +83,8 @@ def shift_of_mask(
 
 
 def apart(shifts: Array) -> float:
-    """Compute the root mean square, m, of the views' shifts (C, 2); NaN with fewer than two known views."""
+    """Compute the root mean square, m, of the shifts (C, 2) of all views; NaN where fewer than two views have a
+    known shift."""
     square = (shifts**2).sum(1)
     known = np.isfinite(square)
     return float(np.sqrt(square[known].mean())) if known.sum() > 1 else float("nan")
@@ -168,8 +169,8 @@ def audit_frame(
     pose: (D,).
     model: where key points sit on the body; None: key points are not used.
     exchanged: gain of the body with exchanged sides, NaN where it was not tried.
-    Returns: (J, len(AUDITED)); NaN where the frame has no such evidence.
-    """
+    Returns: (J, A) one column per measurement in AUDITED, which lists their names; NaN where the frame has no such
+        evidence."""
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     for silhouettes in frame.of(Silhouettes):
@@ -252,7 +253,7 @@ def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """Compute column "loose" (J,) of AUDITED by random small rotations of one arm; the arms take turns over the frames.
 
-    pose: (D,); masks: prepared for the scorer; index: of the frame.
+    pose: (D,); masks: prepared for the scorer; index: index of the frame.
     Returns: (J,) m; NaN for an arm whose turn it is not, 0 for joints of no arm.
     """
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
@@ -333,7 +334,10 @@ def _points(body: Body, pose: Array, seen: Keypoints, model: KeypointModel) -> A
 
 @lru_cache(8)
 def columns_of_joints(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
-    """Find the columns (J, M) of the key points that belong to each joint, -1 where there are no more."""
+    """Find the key points that belong to each joint.
+
+    names, points: names of the J joints and of the key points.
+    Returns: (J, M) indices of the key points of each joint; the rows are filled up with -1."""
     own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
     most = max(map(len, own))
     return np.array([[*o, *[-1] * (most - len(o))] for o in own], dtype=np.int64).reshape(len(names), most)

@@ -94,7 +94,7 @@ def track_keypoint_clip(
 
     frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
     model: joint and offset of each key point on the body.
-    keypoints: of the T frames; None where there are none.
+    keypoints: key points of the T frames; None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
         it.
     progress: function (done, total), called after every frame of the first pass.

@@ -63,8 +63,8 @@ class KeypointModel:
         return body.skeleton.points(self.joint, self.offset, poses)
 
     def worse(self, views: int) -> Array:
-        """Return the noise factors (C,) >= 1 of the views; 1 where they are unknown, or were measured for another
-        number of views."""
+        """Return the factors (C,) >= 1 by which the noise of each view is larger than usual; 1 where they are
+        unknown, or were measured for another number of views."""
         return self.view if self.view is not None and len(self.view) == views else np.ones(views)
 
 
@@ -83,7 +83,7 @@ def keypoint_term(
 ) -> KeypointTerm | None:
     """Build the solver's term of the key points of one frame; None when none of them is known and confident.
 
-    keypoints: of one frame, in undistorted px.
+    keypoints: key points of one frame, in undistorted px.
     model: where the points sit (default: at the body's landmarks).
     prediction: (D,) expected pose. With it, views that show another person are left out, exchanged sides are corrected
         (`check_sides_and_views`), and the model's noise in metres becomes pixels; without it the points are used
@@ -118,7 +118,8 @@ def keypoint_term(
 
 
 def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
-    """Reweight the term of a frame's key points for solves with masks too, by the model's cue_weight."""
+    """Reweight the solver term of a frame's key points, for solves that use masks as well, by the cue_weight of the
+    model."""
     if model.cue_weight is None or len(model.cue_weight) != len(term.points):
         return term
     points = term.points.copy()
@@ -129,12 +130,11 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
     """Decide whether the detected person is another one: further from the expected pose than a person can move.
 
-    keypoints: of one frame; model: where they sit on the body.
-    expected: (D,) expected pose; reach: m that the person can have moved.
-    It is decided by the median distance of the triangulated points or, with fewer than four, by the view with the
-    largest median. False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views`
-    then handles the others).
-    """
+    keypoints: key points of one frame; model: where they sit on the body.
+    expected: (D,) expected pose; reach: largest distance that the person can have moved, m. It is decided by the
+        median distance of the triangulated points or, with fewer than four, by the view with the largest median.
+        False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views` then
+        handles the others)."""
     points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
     uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
     seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)
@@ -152,8 +152,7 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
 def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
     """Compute the size of a metre, px, in every view (C,) at a world position (3,); at least 1.
 
-    keypoints: whose cameras are used; position_world: m.
-    """
+    keypoints: key points, of which the cameras are used; position_world: (3,) m."""
     sizes = []
     for camera in keypoints.rig:
         depth = camera.camera_from_world[2, :3] @ position_world + camera.camera_from_world[2, 3]
@@ -171,7 +170,7 @@ def check_sides_and_views(
     """Correct key points of a frame: leave out views of another person (confidence 0), and exchange confused sides
     back.
 
-    names: of the K points.
+    names: names of the K points.
     points: (C, K, 3).
     expected: (C, K, 2) expected places, px.
     size: (C,) pixels per metre.

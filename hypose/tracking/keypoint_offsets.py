@@ -52,7 +52,8 @@ def offset_limits(names: Sequence[str]) -> Array:
 
 
 def leg_weights(names: Sequence[str]) -> Array:
-    """Return the weights (K,) of points while poses are solved for measuring offsets: FEET_WEIGH for feet, else 1."""
+    """Return the weights (K,) of key points in the solves that measure offsets: FEET_WEIGH for points of the feet, 1
+    for all others."""
     return np.array([FEET_WEIGH if any(f in n.lower() for f in ("toe", "heel")) else 1.0 for n in names])
 
 
@@ -61,7 +62,7 @@ def calibrate_keypoints(
 ) -> KeypointModel:
     """Measure offsets and noise of the key points on frames of this person (T; some tens of different poses).
 
-    keypoints: of the frames; rounds: alternations of poses and offsets.
+    keypoints: key points of the frames; rounds: alternations of poses and offsets.
     model: where the points are expected; offsets stay within `offset_limits` of it.
     poses: (T, D) approximate poses, NaN rows where unknown (default: from triangulation).
     Returns: the model with measured offset, sd and view.
@@ -101,12 +102,11 @@ def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Ke
 def solved_frames(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array, weights: Array | None = None
 ) -> Array:
-    """Solve the poses (T, D) of frames, each alone on its key points, from its start pose.
+    """Solve the poses (T, D) of frames, each frame by itself on its key points, from its start pose.
 
     model: where key points sit on the body; keypoints: T frames. Frames without points keep their start pose.
     poses: (T, D) start poses.
-    weights: (K,) factors on the points' weights (default 1).
-    """
+    weights: (K,) factors on the points' weights (default 1)."""
     out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):

@@ -39,9 +39,8 @@ def exchanged_by_names(
     model: where key points sit on the body; keypoints: T frames, None where there are none.
     poses: (T, D) tracked poses.
     limb: "legs" or "arms", see LIMBS.
-    sure_start: frame 0 is right.
-    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
-    """
+    sure_start: frame 0 is known to have its sides right.
+    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them."""
     pairs = _pairs(model, LIMBS[limb])
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0
@@ -61,7 +60,7 @@ def exchanged_by_names(
 def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
     """List the columns (N, 2) of the left and right point of each part that the body has.
 
-    model: of the key points; parts: names without the side.
+    model: model of the key points; parts: names without the side.
     """
     column = {n: k for k, n in enumerate(model.names) if model.known[k]}
     both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
@@ -71,7 +70,7 @@ def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
 def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
     """Count the views whose named points lie on the other side's limb, and those whose points lie on their own.
 
-    model: of the key points; limb: "legs" or "arms".
+    model: model of the key points; limb: "legs" or "arms".
     points: (C, K, 3) u px, v px, confidence.
     expected: (C, K, 2) places on the body, px; size: (C,) pixels per metre.
     Returns: views on the other side; views on their own side. Views where both fit alike count as neither.

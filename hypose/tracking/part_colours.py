@@ -35,10 +35,11 @@ def pictured_arms(
 ) -> tuple[Array, PointTerm] | None:
     """Move the arms of a pose (D,) to the best place nearby by masks and pictures.
 
-    arms: tables of the arms; frame: prepared, with the counts in its memory; settings: of colours.
-    Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
-        nearby is better.
-    """
+    arms: tables of the arms; frame: prepared frame; its `memory` holds the colour counts learnt so far; settings:
+        settings for colours.
+    Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or
+        nothing
+        nearby is better."""
     if known_colours(frame, settings) is None:
         return None
     found = pose
@@ -58,7 +59,7 @@ def _one_arm(
 ) -> Array:
     """Move one arm of a pose (D,) to the best place nearby; return the same pose where it is the best.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
+    frame: prepared, with the counts in its memory; settings: settings for colours.
     """
     body, o, masks = frame.body, settings, frame.silhouettes.masks
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, masks, arm.moving)
@@ -108,7 +109,8 @@ class ColourSettings:
     memory: share of the previous counts that is kept in the next frame.
     few: number of pixels at which a part's own counts have half of the weight.
     most: largest log-likelihood ratio of one pixel.
-    weight: of the pictures' score relative to the mismatch; edges: of the rims of arms relative to the colours.
+    weight: weight of the pictures' score relative to the mismatch; edges: edges of the rims of arms relative to the
+        colours.
     tried: rivals whose arms are searched nearby; draws: samples at each of the steps; steps: rad, sd.
     ratio: largest energy of a sample relative to that of the estimate.
     hold, strength: m (one sd) and weight of the points that hold the arms in a solve.
@@ -135,9 +137,8 @@ class KnownColours:
 
     codes: (C, h, w) colour of each pixel.
     table: (C, P, COLOURS) log-likelihood ratios of each colour, in a part against anywhere on the person.
-    masks: usable where there is a picture.
-    edges: see `rim_edges`.
-    """
+    masks: masks of the frame; only views with a picture are marked as usable.
+    edges: per view (2, h, w) strength of the colour edges along rows and columns, as `rim_edges` returns it."""
 
     codes: NDArray[np.uint16]
     table: NDArray[np.float32]
@@ -149,14 +150,13 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
     """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
     learnt.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
-    """
+    frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours."""
     if "known colours" not in frame.shared:
         counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
         for colours in frame.frame.of(Colours):
             seen = masks._replace(usable=masks.usable & colours.seen) if len(masks.usable) else masks
             if counts is not None and len(counts) == len(masks.masks) and seen.usable.any():
-                table, edges = table_of(counts, settings), rim_edges(seen, colours.edges)
+                table, edges = colour_table(counts, settings), rim_edges(seen, colours.edges)
                 known = KnownColours(colours.codes, table, seen, edges)
         frame.shared["known colours"] = known
     return frame.shared["known colours"]
@@ -165,11 +165,12 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
 def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) -> Array:
     """Compute how badly the colours and edges of the pictures fit poses (N, D); zeros where no colours are known.
 
-    frame: prepared, with the counts in its memory; settings: of colours.
-    Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
-        over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
-        body, divided by the square root of that area.
-    """
+    frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours.
+    Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person),
+        summed
+        over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of
+        the
+        body, divided by the square root of that area."""
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
@@ -182,10 +183,10 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     return -(sums[:, use] / area + settings.edges * rims[:, use] / np.sqrt(area)).mean(1)
 
 
-def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
+def colour_table(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:
     """Compute the log-likelihood ratios (C, P, COLOURS) of each colour in a part against anywhere on the person.
 
-    counts: (C, P, COLOURS) number of pixels; settings: of colours.
+    counts: (C, P, COLOURS) number of pixels; settings: settings for colours.
     """
     whole = counts.sum(1, keepdims=True)
     share = (whole + 1e-3) / (whole + 1e-3).sum(2, keepdims=True)
@@ -197,7 +198,7 @@ def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[n
 class LearnColours:
     """Function that learns the colours of the parts from frames in which the pose is certain; see `Recipe.learn`.
 
-    settings: of colours.
+    settings: settings for colours.
     """
 
     settings: ColourSettings = ColourSettings()
@@ -264,7 +265,8 @@ def counted_colours(
 
 
 def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
-    """List the faces of the coarse mesh, the part of each (F,), and its arm (F,): 0 left, 1 right, -1 none."""
+    """List the faces of the coarse mesh, the part of each (F,), and the arm of each (F,): 0 left, 1 right, -1 no
+    arm."""
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])
     side = np.array([next((k for k, own in enumerate(_ARMS) if n in own), -1) for n in names])

@@ -26,13 +26,13 @@ _NEAREST = 0.05
 
 @dataclass(frozen=True)
 class Region:
-    """Box in space in which a layer is weighed, placed by the mean pose.
+    """Box in space in which a layer of the search compares body and masks; it is placed by the mean pose of the
+    hypotheses.
 
-    joints: (Y,) the joints of the layer; ends: landmark indices of the points that end its parts.
+    joints: (Y,) the joints of the layer; ends: indices of the landmarks at the ends of the layer's body parts.
     half: (3,) half the box's extent along the world's axes about the mean of those points, m (the published, fixed
         form); None: the box that bounds the points.
-    margin: m, added on every side.
-    """
+    margin: m, added on every side."""
 
     joints: NDArray[np.int64]
     ends: NDArray[np.int64]
@@ -69,11 +69,10 @@ def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = ()
 
 
 def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, margin: float) -> Region:
-    """Build the region that bounds a limb's points as posed.
+    """Build a region whose box always bounds the points of a limb in its present pose.
 
     joints, ends: names of joints and landmarks.
-    margin: added on every side, m at a stature of 1.75 m.
-    """
+    margin: distance added on every side, m at a stature of 1.75 m."""
     index = np.array([body.skeleton.joint(n) for n in joints])
     marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
     return Region(index, marks, None, margin * body.stature / 1.75)

@@ -40,12 +40,12 @@ _SET_FLOOR = 0.02
 class PoseUncertainty:
     """Uncertainty of one frame's pose; arrays are float32, since long recordings have many frames.
 
-    joint_covariance: (J, 3, 3) of the joint centres, m^2.
+    joint_covariance: (J, 3, 3) covariance of each joint centre, m^2, world.
     information: (D (D + 1) / 2,) lower triangle of the inverse covariance of the pose from this frame alone, without
-        the pull to the prediction, with the root's rotation as a small rotation in the world; for solving whole clips.
+        the pull to the prediction, with the root's rotation as a small rotation in the world; for solving whole
+        clips.
         Zero: no information.
-    modes: the distinct poses that the frame allows (one row), for methods that have them.
-    """
+    modes: the distinct poses that the frame allows (one row); None for methods without them."""
 
     joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
@@ -89,9 +89,8 @@ def _less_sure(information: Array, step: Array, weight: float) -> Array:
 def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
     """Compute the covariances (J, 3, 3) of the joint centres, m^2, at a solved pose (D,).
 
-    information: (D, D) on the pose, see `PoseFit.information`.
-    evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
-    """
+    information: (D, D) inverse covariance of the pose, see `PoseFit.information`.
+    evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR."""
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = body.skeleton.informed_joint_covariances(pose, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
@@ -104,9 +103,8 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
     Why: a joint that a frame hardly shows lies between its places in the neighbouring frames; the bound is their
         covariance
     plus how far the path may bend in between (NEIGHBOUR_M_S2).
-    around: (T, J, 3, 3) from each frame alone, m^2; NaN: none.
-    Returns: (T, J, 3, 3) m^2.
-    """
+    around: (T, J, 3, 3) covariances computed from each frame by itself, m^2; NaN where a frame has none.
+    Returns: (T, J, 3, 3) m^2."""
     given, out = around.astype(np.float64), around.astype(np.float64)
     least = np.trace(out, axis1=2, axis2=3)
     least[np.isnan(least)] = np.inf

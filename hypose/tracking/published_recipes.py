@@ -198,13 +198,17 @@ def _between_frames(skeleton: Skeleton, sigma: Array) -> Layer:
 
 
 def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
-    """Build a kernel of Gaussian steps with standard deviations sigma (D,), inside the joint limits."""
+    """Build a search kernel that adds Gaussian steps with standard deviations sigma (D,) to poses, inside the joint
+    limits."""
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper)
 
 
 def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
-    """Choose how a layer gets its exponent: fixed (betas, as in the thesis) or solved for the survival rate (betas
-    None)."""
+    """Choose how a layer gets its exponent beta (annealing rate).
+
+    layer: index of the layer.
+    betas: fixed exponents, one per layer, as in the thesis; None: the exponent is solved for the survival rate.
+    survival: share of the set that survives resampling."""
     return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
 
 
@@ -218,7 +222,7 @@ def _published(
 ) -> Recipe:
     """Build a recipe that reports the mean of its set.
 
-    name: of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
+    name: name of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
     """
     return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
@@ -326,7 +330,7 @@ def dd_hpf(
     """Build the detector-driven hierarchical filter: `hpf` with a share of each layer's particles posed on detected
     body ends.
 
-    particles: number of hypotheses; nu: decay of the steps per layer; frame_rate: Hz; name: of the recipe.
+    particles: number of hypotheses; nu: decay of the steps per layer; frame_rate: Hz; name: name of the recipe.
     survival: survival rate of every layer; betas: fixed exponents, one per layer, None: the survival rate sets them.
     layers: name and joints of each layer.
     7 layers x 500 particles. Detected ends are hands, head or ankles; they come with the frames (`Frame.detections`) or

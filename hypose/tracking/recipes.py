@@ -79,7 +79,7 @@ def default(
     long-tailed steps (`LimbSearch`), because a local solve cannot move a limb by more than about 10 cm; (3) solves of
     the search result and of alternative arms (rivals), of which the silhouettes choose the best.
     particles: number of hypotheses.
-    iterations: of a solve.
+    iterations: number of iterations of a solve.
     rivals: largest number of poses kept from frame to frame, with the estimate.
     colours: also learn the colours of the person's parts, where there are pictures, and use them and the edges of
         sleeves to find arms. It helps with folded arms and takes half as much time again, so it is off by default.
@@ -106,7 +106,7 @@ def default(
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:
     """Build the kernel that searches the tables of arms in their turns (one for each of LIMB_LAYERS).
 
-    rivals: largest number of poses kept, with the estimate; options: of solves.
+    rivals: largest number of poses kept, with the estimate; options: options of solves.
     """
     lower, upper = in_practice(body.skeleton)
     arms = [
@@ -126,7 +126,7 @@ def _turns(frame_rate: float) -> list[InTurn]:
 def _refined(base: Recipe, name: str | None = None) -> Recipe:
     """Add contour refinement after a recipe's last layer; its result is the estimate and moves the set.
 
-    base: the recipe; name: of the result (default: that of the base with "+refine").
+    base: the recipe; name: name of the result (default: that of the base with "+refine").
     """
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
@@ -171,14 +171,14 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """A recipe before there is a body: how to build it, and what it can be used on.
+    """Description of a named recipe that is not built for a body yet: how to build it, and which evidence it can
+    use.
 
     make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options.
     citation: source of the method.
     whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
     needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
-    evidence: the choices of evidence, the default first.
-    """
+    evidence: the choices of evidence, the default first."""
 
     make: Callable[..., Recipe]
     citation: str
@@ -190,7 +190,7 @@ class Preset:
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
         """Check that the recipe has this kind of evidence and these options.
 
-        name: of the recipe, for the message.
+        name: name of the recipe, for the message.
         Raises: InputError that names the wrong evidence or option and the recipes that have it.
         """
         if evidence not in self.evidence:
@@ -250,7 +250,7 @@ def recipe(
 
 
 def citation_of(name: str, refine: bool = False) -> str:
-    """Return the citation of a recipe, "" for an unknown name; refine: as for `recipe`."""
+    """Return the citation of a recipe, "" for an unknown name; refine: contour refinement is added as a last layer."""
     cited = RECIPES[name].citation if name in RECIPES else ""
     return f"{cited} {CONTOURS}" if cited and refine and CONTOURS not in cited else cited
 
@@ -268,10 +268,10 @@ class LimbSearch:
     joints: names of the limb's joints.
     sigma: (D,) sd of a step.
     lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
-    long: share of the steps that are `longer` times as long.
-    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
-        are certainly worse than the first hypothesis are not evaluated in full.
-    """
+    long, longer: share of the steps that are lengthened, and the factor by which they are.
+    Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses
+        that
+        are certainly worse than the first hypothesis are not evaluated in full."""
 
     skeleton: Skeleton
     joints: tuple[str, ...]

@@ -40,13 +40,14 @@ SETTLING = SolveSettings(iterations=24, coarse_iterations=12)
 
 
 def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
-    """Build the weak pull of every joint angle to the rest pose, stronger where silhouettes hardly show the joint.
+    """Build a quadratic prior that weakly pulls every joint angle to the rest pose, more strongly where silhouettes
+    hardly show the joint.
 
-    Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0 for
+    Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0
+    for
     the root.
     keypoints: the evidence has key points. Then LUMBAR_SD holds the flexion of the spine, because two points at the
-        hips do not determine how the pelvis turns about them, and small errors of theirs turn it far.
-    """
+        hips do not determine how the pelvis turns about them, and small errors of theirs turn it far."""
     weight = _anatomical_weights(skeleton.dof_names).copy()
     if keypoints:
         weight[[n == "spine_rx" for n in skeleton.dof_names]] = LUMBAR_SD**-2
@@ -67,27 +68,28 @@ def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
 
 
 def prediction_prior(prediction: Array, weight: float) -> Quadratic:
-    """Build the pull to the predicted pose (D,) with a weight (1 / rad^2), so that parts that no view sees keep moving.
+    """Build a quadratic prior that pulls a solve to the predicted pose (D,) with a weight (1 / rad^2), so that body
+    parts that no view sees keep moving.
 
-    It must stay weak: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian away, whose
-    contour rows together are worth about one unit of cost.
-    """
+    The weight must stay small: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian
+        away, whose contour rows together are worth about one unit of cost."""
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
 def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
-    """Solve a start pose (D,) with many iterations, from a pose that may be centimetres off."""
+    """Solve a start pose (D,) on a frame's evidence with many iterations, from a pose that may be centimetres off."""
     return refine(frame.body, pose[None], frame, SETTLING)[0].pose
 
 
 @dataclass(frozen=True)
 class ContourRefinement:
-    """Kernel that refines a few members of the set and shifts the whole set by the step of the best.
+    """Search kernel that refines a few hypotheses by contour solves, and shifts the whole set by the step of the
+    best one.
 
     Refined are the set's mean, the hypothesis of least energy, and the prediction; the one with the least `mismatch`
-    wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one, with
-    the role SOLVED.
-    """
+    wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one,
+    with
+    the role SOLVED."""
 
     options: SolveSettings = SolveSettings()
 
@@ -111,21 +113,21 @@ class LaterLayer(Protocol):
         ...
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search of
+        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search
+        of
         limbs.
 
-        h: hypotheses after the first solve; frame: in whose `shared` the result is left.
-        """
+        h: hypotheses after the first solve; frame: prepared frame; its `shared` gets the result."""
         ...
 
 
 @dataclass(frozen=True)
 class SolvePrediction:
-    """Kernel that solves from the prediction and puts all hypotheses there, as the start of a search of single limbs.
+    """Search kernel that solves a pose from the prediction and sets all hypotheses to the solution, as the start of
+    a search of single limbs.
 
     One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
-    later: a layer that may run in parallel with this one and the next ones.
-    """
+    later: a layer that may run in parallel with this one and the next ones."""
 
     options: SolveSettings = SolveSettings()
     later: LaterLayer | None = None
@@ -219,15 +221,19 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
-    """Solve from the starts (N, D) independently on a frame's evidence, with anatomical and prediction priors; keep
-    the fits."""
+    """Solve from the starts (N, D) independently on a frame's evidence, with anatomical and prediction priors; store
+    the results in `frame.fits`.
+
+    Returns: one result per start."""
     fits = solve_poses(body, starts, frame, options)
     keep_fits(frame, fits, body)
     return fits
 
 
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
-    """Store fits in the frame, from which the uncertainty is read later; body: where it is not the frame's."""
+    """Store results of solves in a frame, from which the uncertainty is computed later.
+
+    body: body that was solved; None: the body of the frame."""
     for fit in fits:
         frame.fits.keep(body or frame.body, fit.pose, fit)
 
@@ -235,7 +241,7 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Solve from the starts (N, D) as `refine` does, without storing the fits.
 
-    frame: prepared; options: of the solve. With depth at most DEPTH_TRIES damping trials are made.
+    frame: prepared; options: options of the solve. With depth at most DEPTH_TRIES damping trials are made.
     """
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))

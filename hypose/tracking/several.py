@@ -39,7 +39,7 @@ class Member:
 
     @property
     def sure(self) -> bool:
-        """Decide whether it is known where the person is."""
+        """Whether the tracker knows where the person is: present and not lost."""
         return self.present and not self.state.lost and self.state.blind <= BLIND
 
     def shape(self, rig: CameraRig, pose: Array) -> BodyShape:
@@ -61,11 +61,10 @@ def step_together(
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
     """Track all people in one frame.
 
-    keypoints: those of each person, already assigned; empty: the frame's key points are not used.
+    keypoints: key points of each person, already assigned; empty: the frame's key points are not used.
     others: further people who are there but not tracked.
     alone: there is one person, to whom all evidence of the frame belongs, key points too.
-    Returns: the next members, their estimates, and the frame as each person saw it, without what others hide.
-    """
+    Returns: the next members, their estimates, and the frame as each person saw it, without what others hide."""
     if alone:
         steps = [m.tracker.step(m.state, frame) for m in members]
         after = [replace(m, state=state) for m, (state, _) in zip(members, steps, strict=True)]

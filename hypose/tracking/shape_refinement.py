@@ -48,10 +48,9 @@ _BONES = (
 class Known:
     """Prior knowledge of the person; None: unknown.
 
-    height: m (sd 1 cm).
-    mass: kg (sd 6 %, because the mesh is not the body).
-    bones: by what share the _BONES of the body given may differ (1 sd).
-    """
+    height: stature, m (sd 1 cm).
+    mass: mass, kg (sd 6 %, because the mesh is not exactly the body).
+    bones: standard deviation of the bone lengths (_BONES) relative to the given body, as a share."""
 
     height: float | None = None
     mass: float | None = None
@@ -63,7 +62,7 @@ class ShapeSettings:
     """Settings of the refinement of shape and poses.
 
     iterations: Gauss-Newton steps of each stage; coarse: factor of the contour scale in each stage.
-    weight: of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
+    weight: weight of a contour row at the reference density, as for the pose solver (errors of one frame's rows are
         correlated).
     pose_sd: how far poses may move from their start, rad.
     normals: rows whose outline directions differ by more than 60 degrees (this cosine) are left out.
@@ -85,11 +84,10 @@ class ShapeFit:
     """Result of the refinement of shape and poses.
 
     body: the refined body.
-    log_factors: (K,) of SHAPE_FACTORS relative to the body given; covariance: (K, K) of them (poses marginalised; see
-        EFFECTIVE).
-    poses: (F, D).
-    cost: after the refinement.
-    """
+    log_factors: (K,) logarithms of the SHAPE_FACTORS relative to the given body; covariance: (K, K) of them (poses
+        marginalised; see EFFECTIVE).
+    poses: (F, D) refined poses.
+    cost: cost after the refinement."""
 
     body: Body
     log_factors: Array

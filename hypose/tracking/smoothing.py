@@ -35,13 +35,14 @@ _FARTHEST_M = 2.0
 
 @dataclass(frozen=True)
 class ClipSettings:
-    """Limits on accelerations and speeds of a clip. Chosen on synthetic scenes (walk, box, run, combo; seeds 20 to 22).
+    """Limits on accelerations and speeds of a clip. Chosen on synthetic scenes (walk, box, run, combo; seeds 20 to
+    22).
 
     acceleration_m, speed_m: usual acceleration (m/s^2) and speed (m/s) of the root.
-    acceleration_rad, speed_rad: usual ones of angles (rad/s^2, rad/s).
+    acceleration_rad, speed_rad: usual acceleration (rad/s^2) and speed (rad/s) of joint angles.
     window, overlap: frames solved together, and how many are shared by two windows.
-    rounds: solves of a window, each with the pace of the previous one (`own_pace`).
-    """
+    rounds: number of solves of a window, each with the accelerations and speeds measured on the previous solution
+        (`own_pace`)."""
 
     acceleration_m: float = 12.0
     acceleration_rad: float = 60.0
@@ -64,7 +65,7 @@ _SAME_PACE = 1.1
 def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array]:
     """Return the usual accelerations and speeds (D,) of the coordinates, per s^2 and per s.
 
-    skeleton: of D coordinates; settings: limits.
+    skeleton: skeleton of D coordinates; settings: limits.
     """
     rest = np.ones(skeleton.dof - 3)
     return (
@@ -143,9 +144,8 @@ def smooth_poses(
 
     frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     poses: (T, D); ignored in frames without evidence.
-    information: (T, D, D); zero in frames without evidence.
-    contacts: points that stand still, per frame.
-    """
+    information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
+    contacts: points that stand still, per frame."""
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
@@ -170,12 +170,13 @@ def smooth_poses(
 def gap_covariance(
     body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings | None = None
 ) -> Array:
-    """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the others.
+    """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the
+    others.
 
     poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
-    It grows with the distance from the frames with evidence, because only the coupling to them limits it.
-    information: (T, D, D); zero in frames without evidence.
-    """
+    The covariance grows with the distance from the frames with evidence, because only the coupling to them limits
+    it.
+    information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence."""
     settings = settings or ClipSettings()
     weight, slow = pace_weights(usual_pace(body.skeleton, settings), frame_rate)
     out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
@@ -238,12 +239,11 @@ def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Arr
 class Clip:
     """A clip that has been tracked from its first frame to its last.
 
-    tracker: that tracked it.
+    tracker: tracker by which the clip was tracked.
     motion: the estimates as a motion; estimates: one per frame.
     state: after the last frame.
     frames: function (range) that yields frames of the clip again, forwards or backwards.
-    progress: function (done, total).
-    """
+    progress: function (done, total)."""
 
     tracker: Tracker
     motion: Motion
@@ -298,10 +298,9 @@ class Smoothed:
 def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings | None = None) -> Smoothed:
     """Solve a tracked motion again as one clip.
 
-    information: (T, D (D + 1) / 2) of each frame on its pose (`PoseUncertainty`).
-    Frames in which the person was lost or unseen are bridged: they stay marked, and their sd grows with the distance
-    from the others. Soles that stand are held, and all is solved again.
-    """
+    information: (T, D (D + 1) / 2) packed inverse covariance of each frame's pose (`PoseUncertainty.information`).
+        Frames in which the person was lost or unseen are bridged: they stay marked, and their sd grows with the
+        distance from the others. Soles that stand are held, and all is solved again."""
     assert motion.poses is not None
     settings, rate = settings or ClipSettings(), motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))

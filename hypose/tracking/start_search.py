@@ -83,7 +83,7 @@ def starts_in_frame(
     """Find the starts that a frame allows, best first, all different from each other.
 
     frame: prepared for any body.
-    height: of the person, m; None: unknown.
+    height: height of the person, m; None: unknown.
     extent: height of the hull, m, where that of another frame is more reliable.
     Raises: EvidenceError where the views have no common hull, or its height is not that of a person.
     """
@@ -141,7 +141,7 @@ def _sized(template: Body, start: Start, floor: float) -> list[Start]:
 def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None, options: SolveSettings) -> list[Start]:
     """Solve the starts from their poses; those of one body in several threads.
 
-    frame: prepared for any body; height: of the person, m, None: unknown; options: of the solves.
+    frame: prepared for any body; height: height of the person, m, None: unknown; options: options of the solves.
     """
     out: list[Start] = []
     for body in dict.fromkeys(s.body for s in starts):
@@ -238,7 +238,7 @@ def _by_size(template: Body, spans: Array, tall: float, height: float | None) ->
     """List statures (m) and the postures to try at each: as high as the hull, and a little less and more.
 
     template: body of usual proportions; spans: (N,) height of each posture on it, m; tall: height of the hull, m;
-        height: of the person, m, None: unknown.
+        height: height of the person, m, None: unknown.
     Returns: pairs (stature, indices of postures); statures outside 0.8 to 2.3 m are left out.
     """
     if height is not None:

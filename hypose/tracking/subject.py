@@ -102,7 +102,7 @@ def subject_from_keypoints(
 def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]) -> Shape:
     """Estimate the length factors of a body from triangulated points (T, K, 3), m.
 
-    names: of the K points; NaN marks missing points.
+    names: names of the K points; NaN marks missing points.
     Raises: EvidenceError where fewer than two of the segments are seen.
     """
     skeleton = body.skeleton

@@ -52,16 +52,16 @@ class TrackerSettings:
 
     evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges' (nothing else) and
         'auto' (all there is).
-    seed: of every random draw.
+    seed: seed of every random draw.
     frame_rate: Hz.
-    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as the
+    prediction_weight: pull of a solve to the prediction at 25 fps; it grows with the square of the frame rate, as
+        the
         prediction's error shrinks.
     lost_share, lost_floor: lost when the mean IoU falls below this share of its usual value, or below this value.
-    contour_weight: of a contour row.
-    keypoint_scale_px: robust scale of key points, px.
+    contour_weight: weight of one residual of a contour.
+    keypoint_scale_px: noise of key points where it is not measured, px.
     extrapolate: s without evidence after which the person counts as lost.
-    rival_every: s between two searches for a rival pose (left and right exchanged).
-    """
+    rival_every: s between two searches for a rival pose (left and right exchanged)."""
 
     evidence: str = "silhouettes"
     seed: int = 0
@@ -79,19 +79,19 @@ class TrackerSettings:
 class FrameEstimate:
     """Result of one frame.
 
-    pose: (D,); uncertainty: of the pose and its joints.
+    pose: (D,); uncertainty: uncertainty of the pose and its joints.
     cost: 1 - `agreement` with the masks; NaN without masks.
     lost: the person is lost; extrapolated: there was no evidence; n_views: number of views with evidence.
     overlap: (C,) IoU of the body with each view's mask, NaN where not usable; empty when not computed.
     exchanged: gain in overlap of a rival (the body with its sides exchanged), or of the recovered pose over the lost
         one; NaN when not tested.
-    seen: (C, 3) what frame_anomalies stores of each view; (0, 3) when nothing.
+    seen: (C, 3) statistics of each view (`hypose.pipeline.frame_anomalies.view_statistics`); (0, 3) when not
+        computed.
     audit: (J, A) evidence for and against each joint (hypose.tracking.joint_features); (0, 0) when not computed.
     rivals: (K, D), rival_weights: (K,) other poses that the evidence allows, as in `Motion`.
     origin: role of the best hypothesis, RECOVERED, or empty where the first solve was the best.
-    moved: (J,) m by which the search moved each joint from the first solve, or the recovery from the lost pose; (0,)
-        unknown.
-    """
+    moved: (J,) distance by which the search moved each joint from the first solve, or the recovery moved it from the
+        lost pose, m; (0,) unknown."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -120,12 +120,11 @@ class TrackerState:
 
     frames: number of frames done.
     hypotheses: the set after the last frame.
-    pose, previous: (D,) of the last frame and the one before.
-    joint_covariance: (J, 3, 3) m^2.
+    pose, previous: (D,) pose of the last frame and of the frame before it.
+    joint_covariance: (J, 3, 3) covariance of each joint centre, m^2.
     usual_iou: running mean of the IoU while not lost; NaN before the first.
-    blind: frames since the last evidence; lost: in the last frame.
-    memory: additional state of the recipe.
-    """
+    blind: number of frames since the last evidence; lost: the person was lost in the last frame.
+    memory: additional state of the recipe."""
 
     frames: int
     hypotheses: Hypotheses
@@ -181,11 +180,10 @@ class TrackerState:
 class Tracker:
     """Tracker of one person.
 
-    body: the person's body; recipe: the method; settings: of the tracker.
+    body: the person's body; recipe: the method; settings: settings of the tracker.
     keypoints_on_body: where key points sit on the body.
-    own: evidence of the user's own.
-    Raises: InputError where the recipe needs evidence that the settings leave out.
-    """
+    own: additional evidence that a user defined.
+    Raises: InputError where the recipe needs evidence that the settings leave out."""
 
     body: Body
     recipe: Recipe
@@ -337,7 +335,8 @@ class Tracker:
         return state, pose, selected, iou, lost, gain
 
     def rival(self, pose: Array, frame: Frame) -> Array:
-        """Find the best pose to begin again from: the pose (D,), its rival, or the pose found by the recovery."""
+        """Find the best pose (D,) from which to continue in a frame: the given pose, the body with left and right
+        exchanged, or the pose that the recovery finds."""
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or not prepared.silhouettes.seen:
             return pose
@@ -508,7 +507,7 @@ def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | 
 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
-    """Collect the modes of all frames; None where the method has none."""
+    """Collect the modes (distinct possible poses) of all frames; None where the tracking method has no modes."""
     stated = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
     return joined_modes(stated) if stated and len(stated) == len(estimates) else None
 

@@ -164,10 +164,10 @@ def test_archive_with_python_objects(hypose, tracked, tmp_path):
     np.save(buffer, np.array([Payload()], dtype=object), allow_pickle=True)
     folder = shutil.copytree(tracked, tmp_path / "results")
     npz(folder / "motion.npz", joints=buffer.getvalue())
-    fails(hypose("export", folder), "motion.npz is not a motion of hypose", "give the motion.npz")
+    fails(hypose("export", folder), "motion.npz is not a motion", "give the motion.npz")
     npz(folder / "body.npz", coarse_vertices=buffer.getvalue())
     shutil.copy(tracked / "motion.npz", folder)
-    fails(hypose("export", folder), "body.npz is not a body of hypose")
+    fails(hypose("export", folder), "body.npz is not a body")
     assert not (tmp_path / "owned").exists()
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.app.commands import commands_check
+from hypose.app.jobs import checking
 from hypose.calibration.refine_points import CameraChange
 from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
@@ -57,7 +57,7 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
         tuple(CameraChange(f"cam{k}", 67.0 if k == 2 else 0.1, 0.1, 1.0, 3.0) for k in (1, 2, 3)),
         *(9.0, 1.0, 9.0, 1.0, float("nan"), float("nan")),
     )
-    monkeypatch.setattr(commands_check, "refine_recording", lambda *_, **__: found)
+    monkeypatch.setattr(checking, "refine_recording", lambda *_, **__: found)
     given = ("check", keypoint_recording, "--frames", "0", "--samples", "1")
     code, out, err = hypose(*given, "--refine")
     assert code == 1 and "takes cam2 more than 10 degrees" in out and "--refine=far" in out, out + err
@@ -65,6 +65,9 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
     code, out, err = hypose(*given, "--refine=far")
     assert code == 0 and (keypoint_recording / "results" / "calibration_refined.toml").exists(), out + err
     assert replace(found, changes=(CameraChange("cam1", 1.0, 0.6, 1.0, 3.0),)).far == ("cam1",)
+    found = replace(found, left_out_before_px=6.07, left_out_after_px=6.14)  # all cameras agree better, and lie worse
+    code, out, _ = hypose(*given, "--refine=far")
+    assert code == 1 and "not better on frames that it was not found on" in out
 
 
 @pytest.mark.slow

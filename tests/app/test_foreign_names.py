@@ -96,20 +96,6 @@ def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):
 
 
 @on_linux
-def test_a_recording_in_a_folder_that_is_no_utf8_is_worked_on(hypose, tiny, tmp_path):
-    recording = shutil.copytree(tiny, tmp_path / STRANGE)
-    toml = recording / "recording.toml"
-    toml.write_text(re.sub(r"^name = .*\n", "", toml.read_text(), count=1))  # then it goes by its folder's
-    arguments = ("--formats", "trc,csv", "--out", tmp_path / f"{STRANGE}-out")
-    code, out, err = hypose("track", recording, *arguments)
-    assert code == 0 and "\x1b" not in out + err and "b\\xff\\x1b[31m: 8 frames" in " ".join(out.split())
-    said = json.loads((tmp_path / f"{STRANGE}-out" / "provenance.json").read_text(encoding="utf-8"))
-    assert said["inputs"]["recording"]["name"] == "recording.toml"
-    code, out, _ = hypose("silhouettes", recording, "--out", tmp_path / f"{STRANGE}-masks")
-    assert code == 0 and "\x1b" not in out
-
-
-@on_linux
 def test_the_studio_lists_what_is_no_utf8(masks, tmp_path):
     shutil.copytree(masks, tmp_path / "a" / STRANGE)
     catalog = Catalog(tmp_path / "a")

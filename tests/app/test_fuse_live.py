@@ -20,7 +20,6 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import LiveSettings
 from hypose.geometry import transform
 from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.io.sensors.skeleton_streams import format_line
@@ -69,7 +68,7 @@ async def feed(server, seconds, start=0.0, token=""):
             server.tick()
 
 
-OPTIONS = {"udp": 0, "ws": 0, "waiting": 1000, "settings": LiveSettings(AlignSettings(timeout=0.6))}
+OPTIONS = {"udp": 0, "ws": 0, "waiting": 1000, "settings": AlignSettings(timeout=0.6)}
 
 
 def live(play, **options):

@@ -109,7 +109,7 @@ def test_a_model_that_is_replaced_is_told_and_that_of_another_gesture_refused(fo
         ("train x.npz --gesture tee --resume MODEL", "not of tee"),
         ("train x.npz --gesture pause --recording SESSION --record r", "--record is"),
         ("train x --gesture tee", ".npz"),
-        ("record r --gesture fly", "cannot do"),
+        ("train r.npz --gesture fly", "cannot do"),
     ],
 )
 def test_bad_input_ends_in_a_sentence(folder, tmp_path, monkeypatch, capsys, arguments, sentence):

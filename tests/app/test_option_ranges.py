@@ -12,10 +12,8 @@ _NOWHERE = {
     "keypoints": ("nowhere",),
     "correct": ("nowhere", "nowhere"),
     "synth": ("FULL",),
-    "gesture record": ("FULL", "--gesture", "wave", "--source", "nowhere"),
     "gesture train": ("FULL/model.npz", "--gesture", "wave", "--source", "nowhere"),
     "gesture eval": ("nowhere", "nowhere"),
-    "gesture export": ("nowhere", "nowhere"),
 }
 """Arguments with which a command ends before it works, where one name of nothing does not do."""
 VALUES = ("-3", "nan", "1e300")

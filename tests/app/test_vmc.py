@@ -9,11 +9,13 @@ from hypose.app.live.osc import osc_bundles
 from hypose.app.live.vmc import VMC_BONES
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.fusion.fuse import points_motion
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion.fuse import fuse_clip
 from hypose.fusion.joints import COMMON
+from hypose.geometry import transform
 from hypose.io.motions.results import save_body, save_motion
 from tests.app.conftest import fails
-from tests.depth_sensors import walker
+from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc, udp_sink
 
 UNITY_BONES = ["Hips", "Spine", "Chest", "Neck", "Head"] + [
@@ -128,10 +130,9 @@ def test_the_command_plays_results(moving, tmp_path, hypose):
 
 
 def test_results_of_depth_sensors_are_posed_first(tmp_path, hypose):
-    joints, none = np.stack([walker(n / 30) for n in range(12)]), np.zeros(12, bool)
-    sd, times = np.full((12, 15), 0.01), np.arange(12) / 30
-    motion = points_motion(COMMON, joints, sd, times, none, np.full(12, 2), np.full(18, 0.3), {})
-    save_motion(motion, tmp_path / "motion.npz")
+    state, shown = np.full((1, 15), 2), [transform(camera(0), walker(n / 30))[None] for n in range(12)]
+    frames = [SensorJoints(p, state, np.array([n / 30]), COMMON, ("s0",)) for n, p in enumerate(shown)]
+    save_motion(fuse_clip(frames).motion, tmp_path / "motion.npz")
     code, out, _ = hypose("play", tmp_path, "--speed", 10)
     assert code == 0 and "12 frames" in out
 

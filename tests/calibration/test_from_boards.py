@@ -7,9 +7,9 @@ import pytest
 from benchmarks.synthetic.calibration_boards import compare_rigs
 from hypose.calibration.boards import Board
 from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, calibrate_from_boards
-from hypose.calibration.views import BoardFootage, diagnose, find_sources, look_for_board
+from hypose.calibration.views import BoardFootage, count_corners, diagnose, find_sources, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import InputError
+from hypose.errors import CalibrationError, InputError
 from hypose.geometry import se3, so3_exp
 from tests.calibration.painted_boards import paint
 
@@ -117,6 +117,14 @@ def test_other_markers_are_named(tmp_path):
         (view,) = look_for_board([BoardFootage("c", tmp_path / file)], asked)
         assert not view.sightings
         assert words in diagnose(view, asked)
+
+
+def test_corners_are_counted_and_pictures_without_a_board_say_what_to_do(folder, tmp_path):
+    assert count_corners([BoardFootage("cam2", folder / "cam2")]) == (max(BOARD.size), min(BOARD.size))
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((120, 160, 3), 90, np.uint8))
+    with pytest.raises(CalibrationError, match="--chessboard COLUMNSxROWS"):
+        count_corners([BoardFootage("cam1", tmp_path)])
 
 
 def test_sources(folder, tmp_path):

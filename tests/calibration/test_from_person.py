@@ -8,13 +8,14 @@ import pytest
 from benchmarks.cameras.boardless import errors, without_poses
 from benchmarks.synthetic.wandering import RATE, WanderingSettings, wandering
 from hypose.app.cli import run_cli
-from hypose.app.jobs.person_job import with_focal_lengths
+from hypose.app.commands.commands_calibrate import with_focal_lengths
 from hypose.calibration.from_person import calibrate_from_person
 from hypose.calibration.sync_motion import Curves
 from hypose.calibration.two_views import rival_offsets
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import BODY_25
-from hypose.io.calibrations.calibration_formats import read_any, write_any
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.videos.video import VideoWriter
 
 
@@ -131,7 +132,7 @@ def _recording(folder, scene, videos=False):
                     writer.write(np.zeros((*camera.size[::-1], 3), np.uint8))
             lines.append(f'video = "{camera.name}.mp4"')
     (folder / "recording.toml").write_text("\n".join(lines))
-    write_any(without_poses(scene.rig, True), folder / "lenses.toml")
+    write_calibration(without_poses(scene.rig, True), folder / "lenses.toml")
     return folder
 
 

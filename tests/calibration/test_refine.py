@@ -111,5 +111,5 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
 def test_no_evidence_is_told():
     body = human()
     rig = named_rig("humaneva-4").pinhole()
-    with pytest.raises(EvidenceError, match="No frame has silhouettes or key points"):
+    with pytest.raises(EvidenceError, match="No frame has silhouettes"):
         adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [[]])

@@ -43,14 +43,6 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     found = silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
     defined = reference.silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
     assert np.abs(found - defined).max() <= 2
-    for c, (w, h) in enumerate(own.rig.sizes.tolist()):
-        model = np.zeros((h, w), bool)
-        y0, y1, x0, x1 = shapes[0].boxes[c]
-        model[y0:y1, x0:x1] = shapes[0].drawn(c)
-        tells = own.ignored[c, :h, :w] == 0
-        mask = own.masks[c, :h, :w] > 0
-        by_hand = ((model ^ mask) & tells).sum(), (model & tells).sum(), (model & mask & tells).sum()
-        assert np.abs(found[0, c] - by_hand).max() <= 0.02 * by_hand[1] + 12
     # the same when one limb is searched and the rest stands
     turned = np.repeat(poses[:1], 3, 0)
     turned[:2, body.skeleton.dofs_of("left_shoulder")[0]] += (0.4, 0.9)

@@ -9,7 +9,6 @@ from hypose.evidence.silhouettes import (
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
-    refine_rim,
 )
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 
@@ -60,19 +59,6 @@ def test_unknown_room_is_person_only_where_something_says_so():
     assert segment(film[-1], band)[110:150, 215:255].all()
 
 
-def test_rim_refinement_mends_the_outline_and_never_empties_a_mask():
-    model, film, truth = scene(grey=False, shadow=0)
-    import cv2
-
-    eaten = cv2.erode(truth[4], np.ones((5, 5), np.uint8))
-    assert iou(refine_rim(film[4], eaten, 4), truth[4]) > iou(eaten, truth[4]) + 0.02
-    flat = np.full((*SHAPE, 3), 90, np.uint8)  # nothing to tell apart
-    assert refine_rim(flat, eaten, 4).sum() >= 0.6 * eaten.sum()
-    assert not refine_rim(flat, np.zeros(SHAPE, np.uint8)).any()
-    whole = np.ones(SHAPE, np.uint8)  # no background left to learn
-    assert np.array_equal(refine_rim(flat, whole, 4), whole)
-
-
 @pytest.mark.parametrize(
     "image",
     [
@@ -120,7 +106,7 @@ def test_silhouettes_are_padded_and_unusable_views_marked():
 
 
 def test_options_are_checked():
-    for bad in ({"threshold": 0}, {"shadow_range": (0.9, 0.4)}, {"keep_share": 2}, {"rim_px": 0}):
+    for bad in ({"threshold": 0}, {"shadow_range": (0.9, 0.4)}, {"keep_share": 2}):
         with pytest.raises(InputError):
             SilhouetteSettings(**bad)
     with pytest.raises(InputError, match="does not fit"):

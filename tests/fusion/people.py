@@ -5,39 +5,12 @@ import numpy as np
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.geometry import so3_exp
-
-REST = np.array(
-    [
-        (0, 0, 1.70), (0, 0, 1.50), (0.18, 0, 1.48), (0.20, 0, 1.18), (0.20, -0.05, 0.90), (-0.18, 0, 1.48),
-        (-0.20, 0, 1.18), (-0.20, -0.05, 0.90), (0, 0, 1.25), (0.10, 0, 0.98), (0.11, 0, 0.54), (0.11, 0.03, 0.10),
-        (-0.10, 0, 0.98), (-0.11, 0, 0.54), (-0.11, 0.03, 0.10),
-    ]
-)  # fmt: skip
+from tests.depth_sensors import walker
 
 
 def moving_person(frames, scale=1.0):
     """(T, 15, 3) m: walks to and fro, turns, swings arms and legs; bone lengths are constant."""
-    t = np.arange(frames) / 30
-    out = np.broadcast_to(scale * REST, (frames, 15, 3)).copy()
-
-    def swing(joint, children, angle):
-        r = so3_exp(angle[:, None] * np.array([1.0, 0, 0]))
-        for c in children:
-            out[:, c] = out[:, joint] + np.einsum("tij,tj->ti", r, out[:, c] - out[:, joint])
-
-    for sign, (shoulder, elbow, hand), (hip, knee, foot) in (
-        (1, (2, 3, 4), (9, 10, 11)),
-        (-1, (5, 6, 7), (12, 13, 14)),
-    ):
-        phase = sign * np.sin(2 * np.pi * t)
-        swing(elbow, [hand], -0.6 - 0.5 * phase)
-        swing(shoulder, [elbow, hand], 0.5 * phase)
-        swing(knee, [foot], 0.4 + 0.3 * phase)
-        swing(hip, [knee, foot], -0.5 * phase)
-    turn = so3_exp((0.6 * np.sin(0.7 * t))[:, None] * np.array([0, 0, 1.0]))
-    out = np.einsum("tij,tnj->tni", turn, out)
-    out[..., 0] += 0.3 * np.sin(0.5 * t)[:, None]
-    return out
+    return scale * np.stack([walker(t / 30) for t in range(frames)])
 
 
 def sensor_poses(rng, sensors):

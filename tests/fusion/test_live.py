@@ -11,7 +11,7 @@ from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import Aligner, AlignSettings
 from hypose.fusion.clocks import SensorClock, offset_by_movement
 from hypose.fusion.joints import COMMON, MIRROR
-from hypose.fusion.live import LiveFuser, LiveSettings
+from hypose.fusion.live import LiveFuser
 from hypose.fusion.people import PeopleTracker
 from hypose.geometry import se3_inverse, transform
 from tests.depth_sensors import camera, places, reports, walker
@@ -80,7 +80,7 @@ def test_a_sensor_killed_and_restarted_costs_no_frame(rng):
     fuser, frames, latency = run(rng, 8, silent=[(1, 2.0, 4.0)], epochs=epochs)
     assert [f.index for f in frames] == list(range(len(frames)))
     assert len(frames) >= 238 and np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
-    assert latency.max() <= fuser.settings.align.wait + 1e-6
+    assert latency.max() <= fuser.aligner.settings.wait + 1e-6
     assert all(len(f.people) == 1 and f.people[0].id == 1 for f in frames[15:])
     carried = {f.index for f in frames for p in f.people if "s1" in p.sensors}
     assert not carried & set(range(80, 118))
@@ -131,7 +131,7 @@ def held_up(made, begin, end, sensors=("s0", "s1", "s2"), room=10**6):
 
 def serve(made, pause=(0.0, 0.0)):
     """As `replay`, but no timer runs in the pause."""
-    fuser, frames = LiveFuser(LiveSettings(AlignSettings(max_behind=30.0))), []
+    fuser, frames = LiveFuser(AlignSettings(max_behind=30.0)), []
     for r in made:
         while (due := fuser.due()) < r.arrival:
             at = pause[1] if pause[0] <= due < pause[1] else due + 1e-9

@@ -9,7 +9,8 @@ from hypose.compute import fusion
 from hypose.fusion import fit as trust
 from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, fuse_clip
-from tests.fusion.people import REST, moving_person, seen, sensor_poses
+from tests.depth_sensors import REST
+from tests.fusion.people import moving_person, seen, sensor_poses
 
 LENGTHS = np.linalg.norm(REST[jt.SKELETON_BONES[:, 0]] - REST[jt.SKELETON_BONES[:, 1]], axis=-1)
 LEFT = np.array([1.0, 0.0, 0.0])  # the person at rest faces -y

@@ -183,9 +183,9 @@ def npz(name, data):
         ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "cannot be read"),
         ("a.gltf", b"{}", "names other files"),
         ("a.fbx", b"x", "export the scan in one of these formats"),
-        ("a.npz", b"x", "is not an SMPL-format model .File is not a zip"),
-        ("a.npz", npz("a.npy", b""), r"v_template.* is missing"),
-        ("a.npz", npz("v_template.npy", b"nothing"), "is not an SMPL-format model"),
+        ("a.npz", b"x", "is not a model in SMPL's format, or is damaged: .*; save v_template"),
+        ("a.npz", npz("a.npy", b""), "has no .v_template."),
+        ("a.npz", npz("v_template.npy", b"nothing"), "is not a model in SMPL's format"),
         ("a.pkl", b"cos\nsystem\n", "is a pickle, which may run any program"),
     ],
 )

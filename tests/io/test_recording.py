@@ -559,9 +559,7 @@ def test_refused(tmp_path):
     refuses(folder, r"has 2 cameras \(cam_01, cam_02\) but there are 1 views \(cam01\)", CalibrationError)
     (folder / "videos" / "cam01.mp4").unlink()
     shutil.rmtree(folder / "pose")
-    refuses(folder, r"videos holds no videos .* and there are no key points in pose; add one or the other")
-    (folder / "videos").rmdir()
-    refuses(folder, r"has no videos folder and no key points in pose; put the videos into .*videos")
+    refuses(folder, r"has no videos .* or folders of images in videos, and no key points in pose; put the videos")
 
     folder = make_project(tmp_path / "d", points=40)
     refuses(folder, r"cam01_json: there are 40 points per person, which no set has; known are .*BODY_25B \(25\)")

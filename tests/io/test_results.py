@@ -126,8 +126,8 @@ class Bomb:
         ({"../evil.npy": npy([1.0])}, r"it holds '\.\./evil\.npy', which is no array"),
         ({"readme.txt": b"x"}, r"it holds 'readme\.txt', which is no array"),
         ({"joints.npy": npy(np.array([Bomb()], dtype=object), allow_pickle=True)}, r"joints holds object"),
-        ({"joints.npy": pickle.dumps(Bomb())}, r"is not a motion of hypose, or is damaged: .*magic string"),
-        ({"joints.npy": b""}, r"is not a motion of hypose, or is damaged"),
+        ({"joints.npy": pickle.dumps(Bomb())}, r"is not a motion, or is damaged: .*magic string"),
+        ({"joints.npy": b""}, r"is not a motion, or is damaged"),
         ({"joints.npy": header((10**9, 19, 3))}, r"joints of shape .* does not fit its 0 bytes"),
         ({"joints.npy": header((2**40, 2**40, 2**40))}, r"does not fit its 0 bytes"),
         ({"joints.npy": header((-5, 19, 3))}, r"joints has shape \(-5, 19, 3\)"),
@@ -217,9 +217,9 @@ def test_damaged_checkpoint(tmp_path, small_motion):
 
     refused(r"The checkpoint .* does not exist")
     path.write_bytes(b"PK nonsense")
-    refused(r"is not a checkpoint of hypose, or is damaged")
+    refused(r"is not a checkpoint, or is damaged")
     save_motion(small_motion, path)
-    refused(r"is not a checkpoint of hypose")
+    refused(r"is not a checkpoint")
     make_checkpoint(path)
     document = str(np.load(path)["checkpoint"]).replace('"format": 1', '"format": 2')
     rewrite(path, entries(path) | {"checkpoint.npy": npy(np.array(document))})
@@ -329,7 +329,7 @@ def test_every_array_is_needed(saved, tmp_path, name):
 def test_damaged_and_hostile_bodies_are_named(saved, tmp_path, name, value, reason):
     with pytest.raises(InputError, match=reason) as caught:
         load_body(spoil(saved, tmp_path / "b.npz", **{name: value}))
-    assert "b.npz is not a body of hypose" in str(caught.value)
+    assert "b.npz is not a body" in str(caught.value)
 
 
 # ---- test modes ----------------------------------------------------------------------------------------------------

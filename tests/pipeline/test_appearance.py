@@ -12,7 +12,7 @@ from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline import track_management
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Followed
+from hypose.pipeline.track_loop import TrackedPerson
 from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
@@ -52,7 +52,7 @@ def followed(name, places, frames=None):
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
     _, estimate = tracker.step(state, frame_of([]).unseen())
-    out = Followed(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
+    out = TrackedPerson(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
     out.present, out.hidden = [frames is None or t < frames for t in range(len(places))], [False] * len(places)
     return out

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.backward_pass import backward_pass, backward_pass_notes
+from hypose.pipeline.retracking import backward_pass, backward_pass_notes
 from tests.walking_clip import walking_clip
 
 N, LOST = 30, range(12, 18)

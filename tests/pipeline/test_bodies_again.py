@@ -9,9 +9,9 @@ from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.person_paths import Wanted
-from hypose.pipeline.rough_bodies import AGAIN, fitted_again
-from hypose.pipeline.track_loop import Followed, tracker_of
+from hypose.pipeline.people import AGAIN, fitted_again
+from hypose.pipeline.person_paths import KnownPerson
+from hypose.pipeline.track_loop import TrackedPerson, tracker_of
 from hypose.pipeline.track_management import without_doubles
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
@@ -48,7 +48,7 @@ def passing():
     for name, way in zip(("a", "b"), poses, strict=True):
         subject = TrackedSubject(wrong, None, way[0], ("fitted once",))
         tracker = tracker_of(subject, TrackOptions(evidence="silhouettes"), RATE)
-        people.append(Followed.at_start(name, subject, tracker))
+        people.append(TrackedPerson.at_start(name, subject, tracker))
     return people, frames
 
 
@@ -61,21 +61,21 @@ def arms(body):
 @pytest.mark.slow
 def test_arms_that_were_fitted_too_long_are_put_right(passing):
     people, frames = passing
-    found = fitted_again(people, frames.__getitem__, range(FRAMES), Wanted)
+    found = fitted_again(people, frames.__getitem__, range(FRAMES), KnownPerson)
     assert sorted(found) == [0, 1]
     for k, subject in found.items():
         was, now = (np.abs(arms(b) - arms(human())).sum() for b in (people[k].subject.body, subject.body))
         assert now < 0.5 * was
         assert subject.notes == ("fitted once", AGAIN)
     again = [replace(p, subject=found[k]) for k, p in enumerate(people)]
-    assert not fitted_again(again, frames.__getitem__, range(FRAMES), Wanted)
+    assert not fitted_again(again, frames.__getitem__, range(FRAMES), KnownPerson)
 
 
 def test_a_given_body_and_who_is_alone_stay_as_they_are(passing):
     people, frames = passing
-    given = {"a": Wanted("a", body=human()), "b": Wanted("b", body=human())}
+    given = {"a": KnownPerson("a", body=human()), "b": KnownPerson("b", body=human())}
     assert not fitted_again(people, frames.__getitem__, range(FRAMES), given.__getitem__)
-    assert not fitted_again(people[:1], frames.__getitem__, range(FRAMES), Wanted)
+    assert not fitted_again(people[:1], frames.__getitem__, range(FRAMES), KnownPerson)
 
 
 @pytest.mark.parametrize("away", [(0.05, 0.0, 0.0), (0.28, 0.03, 0.0)], ids=["in one place", "between people"])

@@ -125,7 +125,7 @@ def test_cameras_brought_together_keep_their_lenses_and_begin_together(tmp_path,
         apart[0, 3] = 2.0
         moved = replace(rig[1], camera_from_world=rig[1].camera_from_world @ apart)
         seconds = np.array([0.0, 6 / frame_rate + 0.004])
-        return RegisteredSensors(CameraRig((rig[0], moved)), seconds, None, (CoarseAlignment(apart, seconds[1], 0.02),))
+        return RegisteredSensors(CameraRig((rig[0], moved)), seconds, (CoarseAlignment(apart, seconds[1], 0.02),))
 
     monkeypatch.setattr(module, "register_depth", together)
     path, notes = import_depth(sources, tmp_path / "rec", empty=empty)

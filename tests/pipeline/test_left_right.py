@@ -7,7 +7,7 @@ import pytest
 
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import view_statistics
-from hypose.pipeline.left_right import correct_left_right, left_right_notes, retrack_start, start_notes
+from hypose.pipeline.retracking import correct_left_right, left_right_notes, retrack_start, start_notes
 from hypose.pipeline.run import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.left_right import turned_around

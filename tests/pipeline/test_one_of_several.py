@@ -5,12 +5,12 @@ from unittest.mock import Mock
 import pytest
 
 from hypose.calibration.findings import INVALID, REVIEW, Finding
-from hypose.pipeline.person_paths import Wanted
+from hypose.pipeline.person_paths import KnownPerson
 from hypose.pipeline.run import PeopleResult, TrackResult
 from hypose.pipeline.track import track_one_of
 from hypose.pipeline.track_options import TrackOptions
 
-ANNA = Wanted("Anna", place=(1.0, 2.5), time=0.5)
+ANNA = KnownPerson("Anna", place=(1.0, 2.5), time=0.5)
 
 
 def found(name, monkeypatch, wanted, looked=()):

@@ -10,7 +10,7 @@ from hypose.evidence.association import PersonTrack
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline import people
-from hypose.pipeline.person_paths import KeypointPeople, Wanted, names_at_places, per_frame, said_of_places
+from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, names_at_places, per_frame, said_of_places
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import track_people
 from hypose.pipeline.track_loop import FrameList
@@ -47,7 +47,10 @@ def two_people(rig, frames, away=()):
 
 
 def both(frames, **more):
-    given = (Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("bert", body=human(), place=(0.45, 0.4)))
+    given = (
+        KnownPerson("anna", body=human(), place=(-0.45, -0.4)),
+        KnownPerson("bert", body=human(), place=(0.45, 0.4)),
+    )
     about = {"options": TrackOptions(smooth=False), "wanted": given} | more
     return track_people(FrameList(frames, RATE), RATE, **about)
 
@@ -80,7 +83,7 @@ def test_a_view_that_shows_nobody_takes_nobody_away(rig):
 @pytest.mark.slow
 def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
     frames, truth = two_people(rig, 6)
-    found = both(frames, count=1, wanted=(Wanted("bert", body=human(), place=(0.45, 0.4)),))
+    found = both(frames, count=1, wanted=(KnownPerson("bert", body=human(), place=(0.45, 0.4)),))
     assert [p.name for p in found.people] == ["bert"] and found.others == 1
     away = np.linalg.norm(found.people[0].motion.joints - human().joints(truth[1]), axis=-1)
     assert away.mean() < 0.03
@@ -168,8 +171,11 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
 @pytest.mark.slow
 def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp_path):
     frames, _ = two_people(rig, 24, away=range(12))
-    given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
-    given.append(Wanted("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
+    given = [
+        KnownPerson("anna", body=human(), place=(-0.45, -0.4)),
+        KnownPerson("carl", body=human(), place=(9.0, 9.0)),
+    ]
+    given.append(KnownPerson("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
     reported: list[str] = []
     found = both(frames, progress=lambda stage, *_: reported.append(stage), wanted=given)
     assert "subject" in reported[reported.index("track") :]  # the start of who comes is told as a start
@@ -192,16 +198,16 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp
 
 def test_wanted_people_are_those_who_stand_at_their_places():
     places = np.array([[0.0, 0.0], [1.0, 1.0], [3.0, 0.0]])
-    wanted = [Wanted("b", place=(1.1, 0.9)), Wanted("far", place=(9.0, 9.0)), Wanted("any")]
+    wanted = [KnownPerson("b", place=(1.1, 0.9)), KnownPerson("far", place=(9.0, 9.0)), KnownPerson("any")]
     assert names_at_places(wanted, 3, lambda k, t: places[k], RATE) == ["any", "b", "person-1"]
-    assert names_at_places([Wanted("person-2", place=(9.0, 9.0))], 1, lambda k, t: places[k], RATE, ["person-1"]) == [
-        "person-3"
-    ]
+    assert names_at_places(
+        [KnownPerson("person-2", place=(9.0, 9.0))], 1, lambda k, t: places[k], RATE, ["person-1"]
+    ) == ["person-3"]
 
 
 def test_a_place_of_before_the_frames_tells_nothing_and_that_is_said():
     places = np.array([[0.0, 0.0], [1.0, 1.0]])
-    early, late = Wanted("b", place=(1.0, 1.0), time=-20.0), Wanted("c", place=(1.0, 1.0), time=-0.2)
+    early, late = KnownPerson("b", place=(1.0, 1.0), time=-20.0), KnownPerson("c", place=(1.0, 1.0), time=-0.2)
     assert names_at_places([early], 2, lambda k, t: places[k], RATE) == ["b", "person-1"]
     assert names_at_places([late], 2, lambda k, t: places[k], RATE) == ["person-1", "c"]
     assert "b 20.0 s" in said_of_places([early, late], 2)[0]

@@ -5,8 +5,8 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
+from hypose.pipeline.people import frame_of_person, rough_bodies
 from hypose.pipeline.person_paths import follow_places
-from hypose.pipeline.rough_bodies import frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of

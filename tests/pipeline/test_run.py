@@ -93,10 +93,12 @@ def test_keypoints_alone_need_no_masks(scene, frames, subject):
     assert np.isnan(result.motion.cost).all()
 
 
-def test_wanted_evidence_that_is_missing_is_named(frames, subject):
+def test_wanted_evidence_that_is_missing_is_named(frames, subject, tmp_path):
     bare = [Frame(f.time, f.index, None, f.keypoints) for f in frames]
+    results = ResultsFolder(tmp_path)
     with pytest.raises(EvidenceError, match="no silhouettes"):
-        track_source(Frames(bare), 25.0, TrackOptions(), subject=subject)
+        track_source(Frames(bare), 25.0, TrackOptions(), subject=subject, results=results)
+    assert not results.checkpoint.exists()  # there is nothing to go on from
 
 
 def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path):
@@ -119,6 +121,16 @@ def test_an_interrupted_run_of_masks_and_key_points_is_judged_by_its_own_frames(
         FrameList(frames), 25.0, options, subject=subject, results=results, progress=stop_at("track", 3)
     )
     assert not part.complete and len(part.motion) == 3 and part.motion.systematic_covariance is not None
+
+
+def test_who_was_found_before_an_interruption_is_not_searched_again(frames, tmp_path, monkeypatch):
+    options, results = TrackOptions(start="keypoints", girths=False), ResultsFolder(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        track_source(Frames(frames), 25.0, options, results=results, progress=stop_at("track", 0))
+    monkeypatch.setattr("hypose.pipeline.passes.find_subject", None)
+    rest = track_source(Frames(frames), 25.0, options, results=results, resume=True)
+    assert rest.complete and not results.checkpoint.exists() and results.file("body.npz").exists()
+    assert rest.notes[0].startswith("segment lengths from the key points")
 
 
 def test_resume_of_another_run_is_refused(frames, subject, tmp_path):

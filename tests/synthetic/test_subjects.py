@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
 
-from hypose.body.body import Mesh
-from hypose.body.default_body import JOINT_NAMES
 from hypose.body.skin_weights import vertex_normals
 from hypose.geometry import so3_exp
-from hypose.synthetic.subjects import dress, load_subjects
+from hypose.synthetic.subjects import dress
 
 
 def test_one_turned_elbow_moves_only_the_forearm_and_hand(person):
@@ -13,7 +11,7 @@ def test_one_turned_elbow_moves_only_the_forearm_and_hand(person):
     for j in (7, 8):
         r[j] = so3_exp([-1.2, 0, 0])
     moved = np.linalg.norm(person.skin(r, np.zeros(3)) - person.vertices, axis=1)
-    assert moved[person.dense_weights[:, [7, 8]].sum(1) == 0].max() < 1e-9
+    assert moved[person.dense_weights(19)[:, [7, 8]].sum(1) == 0].max() < 1e-9
     assert moved[person.main_joint == 8].min() > 0.05
     joints = person.place_joints(r, np.zeros(3))
     assert np.linalg.norm(joints[8] - joints[7]) == pytest.approx(np.linalg.norm(person.joints[8] - person.joints[7]))
@@ -30,15 +28,3 @@ def test_clothing_goes_outward_at_most_as_thick_as_asked_and_not_on_naked_parts(
     normals = vertex_normals(person.vertices, person.faces)
     assert ((step * normals).sum(1)[covered] > 0).mean() > 0.99
     assert np.array_equal(dressed.joints, person.joints)
-
-
-def test_baked_subjects_are_people():
-    subjects = load_subjects()
-    assert len(subjects) >= 20
-    statures = [s.stature for s in subjects.values()]
-    assert 1.45 < min(statures) < 1.6 and 1.8 < max(statures) < 2.0
-    for s in subjects.values():
-        assert s.joints.shape == (len(JOINT_NAMES), 3)
-        assert np.allclose(s.dense_weights.sum(1), 1)
-        assert s.joints[4, 2] > s.joints[0, 2] > s.joints[15, 2] and s.joints[6, 0] > 0 > s.joints[10, 0]
-        assert 0.025 < Mesh(s.vertices, s.faces, s.skin_index, s.skin_weight).volume < 0.17

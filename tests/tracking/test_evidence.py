@@ -6,13 +6,12 @@ import pytest
 from hypose.body.default_body import human
 from hypose.evidence.cues import NO_DEPTH, NO_KEYPOINTS, NO_SILHOUETTES
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.limb_maps import LimbMaps
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting import Quadratic, SolveSettings, fit_pose
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.starts import known_pose
-from tests.depth_pictures import frame_of, limbs_of, sensors
+from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG = human(), sensors(2)
 S = BODY.skeleton
@@ -35,7 +34,7 @@ def prepared():
     model = keypoint_model(BODY, tuple(S.joint_names))
     uv = np.stack([camera.project_pinhole(model.positions(BODY, TRUTH)) for camera in RIG])
     points = Keypoints(np.concatenate([uv, np.ones((*uv.shape[:2], 1))], -1), model.names, RIG)
-    frame = frame_of(BODY, TRUTH, RIG, keypoints=points, more=(LimbMaps(limbs_of(BODY, TRUTH, RIG), RIG),))
+    frame = frame_of(BODY, TRUTH, RIG, keypoints=points)
     return prepare(frame, BODY, TRUTH, use_keypoints=True, own=[Tags()])
 
 

@@ -112,7 +112,7 @@ await walk(
     await other.selectOption({ label: "second" });
     await page.getByText("The server does not answer").waitFor();
     assert.equal(await other.inputValue(), "");
-    await page.getByRole("button", { name: "Close" }).click();
+    await page.getByRole("button", { name: "Close", exact: true }).click();
     await page.unroute("**/view");
     let [asked, answer] = [() => undefined, () => undefined];
     const [coming, held] = [new Promise((done) => (asked = done)), new Promise((done) => (answer = done))];

@@ -1,7 +1,7 @@
 // An arm that was spoilt on purpose: seen by `n`, put right by dragging it in the pictures, tracked again around; kept,
 // reopened, undone. FOLDER/expected.json: {"first", "row", "joints": {camera: {joint: [x, y]}}}, where the joints truly are.
 import assert from "node:assert/strict";
-import { existsSync, readFileSync } from "node:fs";
+import { copyFileSync, existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { staysCutOff, walk } from "./harness.mjs";
 
@@ -93,7 +93,7 @@ await walk(
     await page.waitForFunction((row) => window.hypose?.pictureRow() === row, first);
     await picture("correct-done");
     const made = join(folder, "walk", "results", "default-corrected");
-    assert.ok(existsSync(join(made, "motion.npz")));
+    copyFileSync(join(made, "motion.npz"), join(folder, "corrected.npz"));
     assert.ok(existsSync(join(folder, "walk", "starts", `default-frame-${first}.json`)));
 
     // the correction is listed, can be opened again with its drags, and undone
@@ -104,14 +104,11 @@ await walk(
     await page.getByText(/Correcting frame/).waitFor({ state: "hidden" });
     await page.goBack();
     await page.getByRole("button", { name: "Corrected" }).click();
+    page.once("dialog", (dialog) => dialog.accept());
     await page.getByRole("menuitem", { name: /Undo/ }).click();
     await page.waitForFunction((old) => location.hash.includes(old), spoilt);
     await page.waitForFunction(() => window.hypose?.view.player.rows > 0);
     assert.ok(!existsSync(join(made, "motion.npz")));
-    // and the undoing too
-    await page.getByRole("button", { name: "Bring it back" }).click();
-    await page.getByText(/default-corrected is back/).waitFor();
-    assert.ok(existsSync(join(made, "motion.npz")));
   },
   { at: "#/view", colorScheme: "dark", viewport: { width: 1440, height: 900 } },
 );

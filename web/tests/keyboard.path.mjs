@@ -73,7 +73,7 @@ await walk(
     await page.keyboard.press("Escape");
     await page.getByRole("img", { name: "Picture of cam1" }).waitFor();
     await page.keyboard.press("2");
-    assert.equal(await page.evaluate(() => window.hypose.view.cameras.zoom.times), 1, "enlarged again it is whole");
+    assert.equal(await page.evaluate(() => window.hypose.view.cameras.tiles[1].zoom.times), 1, "enlarged again it is whole");
   },
   { at: "#/view", colorScheme: "dark" },
 );

@@ -132,7 +132,7 @@ await walk(
     await page.locator(".view-head h1").click();
     await page.keyboard.press("?");
     assert.match(await page.getByRole("dialog").innerText(), /play or pause/);
-    await page.getByRole("button", { name: "Close" }).click();
+    await page.getByRole("button", { name: "Close", exact: true }).click();
     await page.getByRole("button", { name: "Dark or light" }).click();
     assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "light");
     await picture("view-light");

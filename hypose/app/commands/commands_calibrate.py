@@ -5,24 +5,35 @@ another program.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from hypose.app.commands.commands_sync import keep_offsets
 from hypose.app.commands.console import Stages, print_notes, print_table, say
 from hypose.app.jobs.checking import check_picture, write_image
-from hypose.app.jobs.person_job import calibrate_recording
+from hypose.app.jobs.person_job import detected
 from hypose.app.options import CalibrateCommand
 from hypose.app.reports.calibration_pages import draw_sheet
 from hypose.calibration.boards import Board
 from hypose.calibration.from_boards import BoardCalibration, BoardsNotFound, CalibrateOptions, calibrate_from_boards
+from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.calibration.from_points import PointCalibration, calibrate_from_points, read_scene_points
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
+from hypose.evidence.held_points import without_held
+from hypose.evidence.keypoints import keypoint_names, person_size
+from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import check_toml, write_calibration
 from hypose.io.files import check_writable
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.recordings.recording_people import candidates_of
 from hypose.options import named_values
+from hypose.pipeline.recording_diagnostics import window
 
 
 def calibrate(c: CalibrateCommand) -> None:
@@ -181,3 +192,102 @@ def _say_notes(result: PointCalibration | BoardCalibration) -> None:
         say(f"note: {text}")
     for text in result.warnings:
         say(f"warning: {text}", "yellow")
+
+
+# ---- from a person -----------------------------------------------------------------------------------------------
+
+_MOST_SECONDS = 60
+
+
+def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, tuple[str, ...]]:
+    """Select the main person of each view (largest and most confident) in the middle minute of a recording.
+
+    Key points come from the recording, else from the detector. Where the lenses are not known, detected ones are kept
+    in a folder of their own, since the detector's masks fit no other lens.
+    lenses_known: the recording's cameras have the right lenses.
+    yes: the detector's models may be downloaded without asking.
+    Returns: (C, T, K, 3) px of the stored pictures and confidence, 0 where the person is not seen; and the names of the
+        key points.
+    """
+    few = window(loaded, round(_MOST_SECONDS * loaded.frame_rate))
+    if few.keypoint_set is None:
+        kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
+        found = detected(kept, few.frames, yes=yes, why="--from-person")
+        views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
+        few = replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
+    names = keypoint_names(str(few.keypoint_set))
+    people = candidates_of(few, few.rig) or []
+    points = np.zeros((len(few.views), len(few.frames), len(names), 3))
+    for c, view in enumerate(points):
+        for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):
+            if found is not None and len(found):
+                view[t] = max(found[..., [3, 4, 2]], key=lambda p: float(p[:, 2].sum()) * person_size(p))
+    return points, names
+
+
+def calibrate_recording(c: CalibrateCommand) -> tuple[CameraRig, Path]:
+    """Calibrate the cameras of a recording from the person; print the result and save the offsets.
+
+    Returns: the cameras, and the file they are to be written to.
+    Raises: InputError where the height is missing or the file exists.
+    """
+    path, lenses = c.sources[0], c.intrinsics
+    loaded = load_recording(path, lenses, uncalibrated=lenses is None)
+    rig = with_focal_lengths(loaded.rig, c.focal) if c.focal else loaded.rig
+    target = c.out or loaded.folder / "calibration.toml"
+    if target.exists():
+        raise InputError(f"{target} exists, and calibrations are never overwritten; give another name with --out.")
+    height = c.height or loaded.subject_height
+    if height is None:
+        raise InputError("Say how tall the person is, in metres: --height 1.72 (the height gives the scale).")
+    points, names = person_of(loaded, lenses is not None, c.yes)
+    print_notes(loaded.notes)
+    with Stages() as progress:
+        found = calibrate_from_person(
+            points, names, rig, height, loaded.frame_rate,
+            lenses_known=lenses is not None or bool(c.focal), largest_s=c.largest, progress=progress,
+        )  # fmt: skip
+    _show_person(found)
+    keep_offsets(loaded, "person", found.late.tolist(), [f"sd {s:.2f}" for s in found.sds.late])
+    if np.abs(found.late).max() > 0.05:
+        offsets = ",".join(f"{x:.2f}" for x in found.late)
+        say(f"To bring the evidence in step: hypose sync {path} --offsets={offsets} --out NEW_FOLDER")
+    return found.rig, target
+
+
+def with_focal_lengths(rig: CameraRig, given: Sequence[str]) -> CameraRig:
+    """Set the focal lengths of a rig to those of the option --focal.
+
+    given: texts "PIXELS" (all cameras) or "CAMERA=PIXELS"; of two for the same camera the later counts.
+    Raises: InputError where a text is not understood, or a camera has no focal length.
+    """
+    pixels: dict[str, float] = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        if not re.fullmatch(r"[1-9]\d{0,5}(\.\d+)?", number) or name not in ("", *rig.names):
+            raise InputError(
+                f"--focal {text!r} is not understood; write a number of pixels for all cameras, or CAMERA=PIXELS with "
+                f"one of the cameras {', '.join(rig.names)}."
+            )
+        pixels |= dict.fromkeys([name] if name else rig.names, float(number))
+    if missing := [n for n in rig.names if n not in pixels]:
+        raise InputError(f"--focal: the focal length of {', '.join(missing)} is missing; add CAMERA=PIXELS.")
+    cameras = []
+    for c in rig:
+        f, (x, y) = pixels[c.name], c.K[:2, 2]
+        cameras.append(replace(c, K=np.array([[f, 0, x], [0, f, y], [0, 0, 1.0]])))
+    return CameraRig(tuple(cameras))
+
+
+def _show_person(found: PersonCalibration) -> None:
+    """Print how well a calibration from a person fits."""
+    sds, rows = found.sds, []
+    for k, (camera, late) in enumerate(zip(found.rig, found.late, strict=True)):
+        f, (x, y, z) = camera.K[0, 0], camera.position
+        focal = f"{f:.0f}" + (f" +- {sds.focal[k] * f:.0f}" if sds.focal[k] else "")
+        place = f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sds.place_m[k]:.0f}", f"{sds.turn_deg[k]:.2f}"
+        rows.append((camera.name, f"{late:+.2f} +- {sds.late[k]:.2f}", focal, *place))
+    columns = ("camera", "late (frames)", "focal (px)", "position (m)", "uncertain by (mm)", "turned by (deg)")
+    print_table(f"Fit of the person's key points: {found.median_px:.1f} px median", columns, rows)
+    for text in found.approximate:
+        say(f"warning: approximate: {text}.", "yellow")

@@ -9,10 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from click.exceptions import Exit
-
 from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say, stopping
-from hypose.app.options import CompareCommand
 from hypose.errors import HyposeError, InputError
 from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
 
@@ -169,50 +166,6 @@ def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
     write_text(path, "\n".join([header, *(",".join(map(cell, row)) for row in rows)]) + "\n")
 
 
-def compare(c: CompareCommand) -> None:
-    """Compare results with other motions, write table and page, and check limits (`hypose compare`).
-
-    Raises: Exit with code 1 where a limit is exceeded.
-    """
-    from hypose.app.jobs import compare_job
-    from hypose.io.files import check_writable
-
-    if len(c.files) % 2:
-        raise InputError("Give pairs: a result, what to compare it with, and so on; one of the files has no partner.")
-    pairs = list(zip(c.files[::2], c.files[1::2], strict=True))
-    folder = c.out or (c.files[0] if c.files[0].is_dir() else c.files[0].parent)
-    joints = compare_job.parse_joints(c.joint)
-    compare_job.load_result(c.files[0])
-    check_writable(folder)
-    with Stages() as progress:
-        compared = compare_job.compare_files(each(progress, "compare", pairs), c, joints, c.subject)
-    failed = compare_job.exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
-    compare_job.write_csv(folder / "compare.csv", compared)
-    compare_job.write_comparison_page(folder / "compare.html", compared, failed)
-    for file in dict.fromkeys(c.files):
-        tell_untrusted(file)
-    for _, other, found in compared:
-        print_notes(found.notes)
-        if found.joints:
-            median, p95, rmse = found.left_mm
-            share = compare_job.mean_coverage(found)
-            inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
-            say(
-                f"{other}: {counted(len(found.joints), 'joint')}, offsets aside: median {median:.1f} mm, 95 % within "
-                f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
-            )
-        if found.angles:
-            degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
-            span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
-            say(f"{other}: {counted(len(degrees), 'angle')}, offsets aside: RMSE {span}")
-    say(f"Table: {folder / 'compare.csv'}")
-    say(f"Page:  {folder / 'compare.html'}")
-    for text in failed:
-        say(text, "yellow")
-    if failed:
-        raise Exit(1)
-
-
 def play(
     results: MotionPath,
     vmc: Annotated[str, Option("HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
@@ -250,7 +203,7 @@ def play_motion(
     """Send a motion with poses to an avatar at its own pace.
 
     Late frames are skipped; lost frames repeat the last pose and are marked.
-    body: of the motion.
+    body: body of the motion.
     send: sends the messages of a frame.
     speed: factor of the pace.
     loop: repeat until interrupted.
@@ -295,15 +248,8 @@ def tell_untrusted(results: Path) -> None:
     """Print a line where the result (a folder, or its motion.npz) is not to be trusted; nothing where its assessment is
     missing or unreadable.
     """
-    from hypose.app.jobs.job import ASSESSMENT_FILE
-    from hypose.errors import InputError
-    from hypose.io.files import read_json
-    from hypose.pipeline.assessment import UNTRUSTED, Assessment
+    from hypose.pipeline.assessment import UNTRUSTED, load_assessment
 
     folder = results if results.is_dir() else results.parent
-    try:
-        kept = Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
-    except (InputError, ValueError, KeyError, TypeError):
-        return
-    if kept.word == UNTRUSTED:
+    if (kept := load_assessment(folder)) is not None and kept.word == UNTRUSTED:
         print_note(f"note: {folder}: {kept.sentence}")

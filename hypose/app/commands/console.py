@@ -88,7 +88,7 @@ def _console(file: TextIO) -> Console:
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """Print one line of results; style: of rich, for example "green"."""
+    """Print one line of results; style: style of rich, for example "green"."""
     out().print(text, style=style, markup=False)
 
 

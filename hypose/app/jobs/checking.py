@@ -1,4 +1,6 @@
-"""Check a recording before it is tracked: a table of the cameras, a contact sheet, and whether the views agree."""
+"""`hypose check`: check a recording before it is tracked (a table of the cameras, a contact sheet, whether the views
+agree), and correct its calibration.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, counted, each, ignore, print_table
+from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_table, say
+from hypose.app.options import CheckCommand
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
 from hypose.calibration.diagnostics import Cured, PersonReport, examine
@@ -16,19 +20,170 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Image
-from hypose.io.files import write_bytes, write_text
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.files import check_writable, write_bytes, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.pipeline.recorded_frames import frames_to_examine
-from hypose.pipeline.recording_diagnostics import observe_recording
+from hypose.pipeline.recording_diagnostics import (
+    Refinement,
+    cured_recording,
+    observe_recording,
+    refine_recording,
+)
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
 _FIGURES = ("name", "residual_px", "left_out_px", "tangency_px")
 _SHEET_WIDTH = 1600  # px
 _LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person covers at most and at least
+
+
+def check(c: CheckCommand) -> None:
+    """Check a recording and its calibration, and print what was found (`hypose check`).
+
+    Raises: Exit with code 1 where faults were found, or a refinement is no better.
+    """
+    if c.to is not None and c.to.exists():
+        raise InputError(f"{c.to} exists, and calibrations are never overwritten; give another name with --to.")
+    if c.out is not None:
+        check_picture(c.out, "--out")
+    loaded = load_recording(c.recording, c.calibration)
+    for name in c.keep:
+        loaded.rig.select([name])
+    print_cameras(loaded)
+    for text in loaded.notes:
+        say(f"note: {text}")
+    path = c.out or loaded.folder / "results" / "check.png"
+    check_writable(path.parent)
+    if c.refine:
+        check_writable((c.to or path).parent, "--to")
+    report = cured = None
+    with Stages() as progress:
+        found = check_recording(loaded, path, c.samples, progress)
+        if c.frames > 0:
+            report, cured = examine_recording(loaded, c.frames, path.with_suffix(".html"), path, found, progress)
+    write_findings(path.with_suffix(".json"), found, report)
+    for text in found.facts:
+        say(text)
+    for text in found.warnings:
+        say(f"warning: {text}", "yellow")
+    if report is not None:
+        _print_report(report)
+        say(f"Page: {path.with_suffix('.html')}")
+    say(f"Contact sheet: {path}")
+    if c.refine:
+        _refine(loaded, cured, c)
+        return
+    if found.warnings or (report is not None and not report.healthy):
+        raise Exit(1)
+    say("No problem found.", "green")
+
+
+def _print_report(report: PersonReport) -> None:
+    """Print how well each view agrees with the others, and the findings."""
+    for view in report.views:
+        numbers = []
+        if view.left_out_px == view.left_out_px:
+            numbers.append(f"key points {view.left_out_px:.1f} px from where the other cameras put them")
+        if view.tangency_px == view.tangency_px:
+            numbers.append(f"silhouette {view.tangency_px:.1f} px")
+        say(f"{view.name}: " + (", ".join(numbers) if numbers else "nothing to compare"))
+    for finding in report.findings:
+        say(f"{'fault' if finding.fault else 'note'}: {finding.sentence}", "yellow" if finding.fault else None)
+
+
+def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
+    """Refine the calibration from the person, print the changes, and write it where it is better.
+
+    loaded: recording as it is.
+    cured: the recording with measured faults corrected, from which the refinement starts; None: from the recording.
+    c: options of the user.
+    Raises: Exit with code 1 where the refined calibration is not better, or moves a camera far without --refine=far.
+    """
+    method = c.using
+    if method == "auto":
+        method = "keypoints" if loaded.keypoint_set is not None else "silhouettes"
+    recording = loaded if cured is None else cured_recording(loaded, cured)
+    late = None if cured is None else cured.late
+    with Stages() as progress:
+        result = refine_recording(
+            recording,
+            method,
+            late=late,
+            focal=c.focal,
+            fixed=c.keep,
+            height=c.height or loaded.subject_height,
+            progress=progress,
+        )
+    target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
+    for text in result.notes:
+        say(f"note: {text}")
+    if not _print_changes(result):
+        say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
+        raise Exit(1)
+    if result.far and not c.far:
+        say(
+            f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
+            "calibration has it, and nothing is written: look whether the key points are one person's in all views, or "
+            "take it with --refine=far.",
+            "yellow",
+        )
+        raise Exit(1)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_calibration(result.rig, target)
+    say(f"Refined calibration: {target} (metres, world as before, z up)", "green")
+    if any("world is turned" in n for n in loaded.notes):
+        say('note: this file is z up already: use it with world_up = "z".')
+    say(f"Use it: hypose track {loaded.folder} --calibration {target}")
+    if cured is not None:
+        for text in _settings(loaded, cured):
+            say(f"Also set in recording.toml: {text}")
+
+
+def _print_changes(result: Refinement) -> bool:
+    """Print the changes of a refinement; return whether it is better on frames that it was not found on: by the key
+    points with one camera left out, else by those of all cameras, else by the silhouettes.
+    """
+    for change in result.changes:
+        focal = f", focal length x {change.focal:.4f}" if abs(change.focal - 1) > 1e-6 else ""
+        say(
+            f"{change.name}: turned by {change.turn_deg:.2f} degrees, moved by {1000 * change.move_m:.0f} mm{focal}; "
+            f"the person moves {change.image_px:.1f} px in its image"
+        )
+    found = {
+        "Key points, one camera left out": (result.left_out_before_px, result.left_out_after_px),
+        "Key points, all cameras": (result.before_px, result.after_px),
+        "Silhouettes": (result.tangency_before_px, result.tangency_after_px),
+    }
+    known = {what: pair for what, pair in found.items() if np.isfinite(pair).all()}
+    for what, (before, after) in known.items():
+        say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
+    before, after = next(iter(known.values()), (1.0, 0.0))
+    return after < before
+
+
+def _settings(recording: Recording, cured: Cured) -> list[str]:
+    """List the settings of recording.toml that correct the faults that were measured, as sentences."""
+    out = []
+    if cured.keypoint_lag:
+        out.append(f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}")
+    for view, shift in zip(recording.views, cured.shift, strict=True):
+        if shift.any():
+            x, y = (round(float(a + b), 1) for a, b in zip(view.image_shift, shift, strict=True))
+            out.append(f"view {view.name}: image_shift = [{x:g}, {y:g}]")
+    return out
+
+
+def _free_name(path: Path) -> Path:
+    """Return the path, or the first free numbered one, since calibrations are never overwritten."""
+    number, free = 2, path
+    while free.exists():
+        free = path.with_name(f"{path.stem}_{number}{path.suffix}")
+        number += 1
+    return free
 
 
 @dataclass(frozen=True)
@@ -179,7 +334,7 @@ def write_findings(path: Path, found: Findings, report: PersonReport | None) -> 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
     """List sentences on masks that are unusable, or cover too little or too much of the picture.
 
-    number: of the frame.
+    number: number of the frame.
     """
     out = []
     pixels = silhouettes.rig.sizes.prod(1)
@@ -201,7 +356,7 @@ def _hull_facts(
 ) -> tuple[float, np.ndarray] | None:
     """Compute the height of the visual hull and its overlap with the masks, and add sentences on them.
 
-    number: of the frame.
+    number: number of the frame.
     facts, warnings: receive the sentences.
     several: several people are in the masks, so that all parts of the hull count.
     Returns: height in m, and IoU with each view's mask (C,), NaN for unusable masks; None without a hull.

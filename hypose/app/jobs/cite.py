@@ -110,7 +110,7 @@ METHODS: dict[str, tuple[str, ...]] = {
 def papers_of(name: str) -> tuple[str, ...]:
     """List the keys of the works to cite, hypose first.
 
-    name: of a method, or a results folder, whose provenance names the method.
+    name: name of a method, or a results folder, whose provenance names the method.
     Raises: InputError lists the methods.
     """
     path, method = Path(name), name

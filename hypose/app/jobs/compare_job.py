@@ -5,19 +5,24 @@ from __future__ import annotations
 import csv
 import html
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from click.exceptions import Exit
 
 from hypose import __version__
+from hypose.app.commands.commands_results import tell_untrusted
+from hypose.app.commands.console import Stages, counted, each, print_notes, say
+from hypose.app.options import CompareCommand
 from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
-from hypose.app.reports.summary import page
+from hypose.app.reports.summary import list_of, page, table_of
 from hypose.body.default_body import JOINT_NAMES
-from hypose.io.files import write_text
+from hypose.errors import InputError
+from hypose.io.files import check_writable, write_text
 from hypose.io.motions.results import load_result
 from hypose.options import named_values
-from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions, read_other
+from hypose.pipeline.comparison import Agreement, Comparison, compare_motions, read_other
 from hypose.pipeline.settings import SETTINGS
 
 _AXES = ("x", "y", "z")
@@ -27,19 +32,48 @@ Compared = tuple[Path, Path, Comparison]
 """Files of a result and of another motion, and their comparison."""
 
 
-def compare_files(
-    pairs: Iterable[tuple[Path, Path]],
-    options: CompareOptions,
-    joints: Mapping[str, Sequence[str]],
-    subject: str | None = None,
-) -> list[Compared]:
-    """Compare pairs of a result and another motion.
+def compare(c: CompareCommand) -> None:
+    """Compare results with other motions, write table and page, and check limits (`hypose compare`).
 
-    pairs: paths of a result and of what it is compared with.
-    joints, subject: as for `read_other`.
-    Raises: InputError where a file cannot be read or compared.
+    Raises: Exit with code 1 where a limit is exceeded.
     """
-    return [(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
+    if len(c.files) % 2:
+        raise InputError("Give pairs: a result, what to compare it with, and so on; one of the files has no partner.")
+    pairs = list(zip(c.files[::2], c.files[1::2], strict=True))
+    folder = c.out or (c.files[0] if c.files[0].is_dir() else c.files[0].parent)
+    joints = parse_joints(c.joint)
+    load_result(c.files[0])
+    check_writable(folder)
+    with Stages() as progress:
+        compared = [
+            (a, b, compare_motions(load_result(a), read_other(b, joints, c.subject), c))
+            for a, b in each(progress, "compare", pairs)
+        ]
+    failed = exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
+    write_csv(folder / "compare.csv", compared)
+    write_comparison_page(folder / "compare.html", compared, failed)
+    for file in dict.fromkeys(c.files):
+        tell_untrusted(file)
+    for _, other, found in compared:
+        print_notes(found.notes)
+        if found.joints:
+            median, p95, rmse = found.left_mm
+            share = mean_coverage(found)
+            inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
+            say(
+                f"{other}: {counted(len(found.joints), 'joint')}, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
+            )
+        if found.angles:
+            degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
+            span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
+            say(f"{other}: {counted(len(degrees), 'angle')}, offsets aside: RMSE {span}")
+    say(f"Table: {folder / 'compare.csv'}")
+    say(f"Page:  {folder / 'compare.html'}")
+    for text in failed:
+        say(text, "yellow")
+    if failed:
+        raise Exit(1)
 
 
 def exceeded(
@@ -127,7 +161,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]
         if f.notes:
-            parts.append("<ul>" + "".join(f"<li>{e(n)}</li>" for n in f.notes) + "</ul>")
+            parts.append(list_of(f.notes))
     parts.append(
         "<p class='dim'>Median, 95th percentile and RMSE of the distance between the two (angles: of the absolute "
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
@@ -142,7 +176,7 @@ def _table(rows: Sequence[Agreement]) -> str:
     """Build the HTML table of joints or angles; columns with a star are without the constant offset."""
     head = ("", "unit", "frames", "median", "p95", "RMSE", "offset", "median*", "p95*", "RMSE*", "bias", "limits", "r",
             "inside 90 %")  # fmt: skip
-    out = ["<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"]
+    out = []
     for a in rows:
         numbers = (a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left)
         limits = " / ".join(f"{low:.0f}..{high:.0f}" for low, high in zip(a.low, a.high, strict=True))
@@ -150,8 +184,8 @@ def _table(rows: Sequence[Agreement]) -> str:
         cells = [html.escape(a.name), a.unit, str(a.n), *(_number(v) for v in numbers)]
         cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
         cells.append("-" if covered != covered else f"{100 * covered:.0f} %")
-        out.append("<tr>" + "".join(f'<td class="n">{c}</td>' if i else f"<td>{c}</td>" for i, c in enumerate(cells)))
-    return "\n".join(out) + "</table><p class='dim'>* without the constant offset</p>"
+        out.append(cells)
+    return table_of(out, head, range(1, len(head))) + "<p class='dim'>* without the constant offset</p>"
 
 
 def _number(value: float) -> str:

@@ -48,7 +48,7 @@ class Correction:
 
     frame: number in the recording.
     pose: (D,).
-    name: of the saved clicks.
+    name: name of the saved clicks.
     since: first frame to track again, backwards from `frame`; None: `frame`.
     until: frame after the last to track again; None: the end of the recording.
     """
@@ -94,7 +94,7 @@ def corrected_motion(
 ) -> Motion:
     """Track a result again from a corrected frame, and write the whole motion as a new result.
 
-    recording: of the result.
+    recording: recording of the result.
     old: folder of the old result.
     correction: corrected pose, and the frames to track again.
     out: folder of the new result.
@@ -180,7 +180,7 @@ _UNKNOWN = {
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """Replace rows of a motion by those of another one.
 
-    row: of `old` in which `new` begins.
+    row: as returned by `old` in which `new` begins.
     record: added to the corrections in the provenance; None: nothing is added.
     Returns: the joined motion. Values that `new` does not have are those of `_UNKNOWN` in its rows.
     """

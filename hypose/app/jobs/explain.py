@@ -46,7 +46,7 @@ def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
 def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
     """Return sentences on where the joint is, and how certain that is.
 
-    row: of the motion.
+    row: row of the motion.
     j: number of the joint.
     what: first words of the sentence.
     """
@@ -66,8 +66,8 @@ def _position(motion: Motion, row: int, j: int, what: str) -> list[str]:
 def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, joint: str) -> list[str]:
     """Return sentences on the evidence of the frame, and how far the joint is from its key point in each view.
 
-    folder: of the result, in its recording; without the recording only the kind of evidence is given.
-    row: of the motion.
+    folder: folder of the result, in its recording; without the recording only the kind of evidence is given.
+    row: row of the motion.
     frame: number in the recording.
     """
     settings = motion.provenance.get("settings", {})
@@ -95,7 +95,7 @@ def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, jo
 def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
     """Return sentences on which passes moved the joint.
 
-    row: of the motion.
+    row: row of the motion.
     first: number of the frame in row 0.
     """
     if "trace" not in motion.provenance:
@@ -116,7 +116,7 @@ def _moved(motion: Motion, row: int, first: int, joint: str) -> list[str]:
 def _rivals(motion: Motion, row: int, j: int) -> list[str]:
     """Return sentences on where else the joint may be; empty where the method keeps no other poses.
 
-    row: of the motion.
+    row: row of the motion.
     j: number of the joint.
     """
     if motion.rivals is None or motion.rival_weights is None:

@@ -36,7 +36,6 @@ from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
-from hypose.fusion.live import LiveSettings
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
@@ -68,7 +67,7 @@ class PersonResult:
 
     motion: in a world with z up.
     files: files that were written.
-    assessment: of the motion.
+    assessment: assessment of the motion.
     """
 
     motion: Motion
@@ -82,7 +81,7 @@ def fuse(c: FuseCommand) -> None:
         if c.recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
         ports = {} if c.udp is None and c.ws is None else {"udp": c.udp, "ws": c.ws}
-        settings = LiveSettings(AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000))
+        settings = AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000)
         about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings}
         asyncio.run(run_live(FusionServerOptions(host=c.host, **ports, **about), say, print_note))
         return
@@ -293,7 +292,7 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
     """Register the sensors from all persons together, so that all share one frame of reference.
 
     people: one clip per person.
-    names: of the sensors.
+    names: names of the sensors.
     Raises: InputError where no joint is seen, or the sensors do not see the same person.
     """
     clips = [[common_joints(f) for f in clip] for clip in people]

@@ -1,31 +1,43 @@
-"""Do the work of `hypose gesture`: run sessions, learn from recordings, watch for events, evaluate a model."""
+"""`hypose gesture`: run sessions, learn from recordings, watch for events, evaluate a model."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pythonosc.osc_message import OscMessage
 
-from hypose.app.live.gesture_sources import GestureSource
-from hypose.app.live.osc import osc_message
+from hypose.app.commands.console import Stages, print_note, say, stopping
+from hypose.app.live.gesture_sources import GestureSource, open_source
+from hypose.app.live.osc import OscTarget, osc_message
+from hypose.app.live.servers import SocketListeners
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
-from hypose.gestures.model import GestureModel
+from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.online import Learner
 from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer
-from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
+from hypose.io.files import check_writable
+from hypose.options import MOST_FRAMES, Option, Seed
+from hypose.pipeline.gesture_files import (
+    GestureRecording,
+    SessionWriter,
+    content_of,
+    load_model,
+    read_recording,
+    save_model,
+)
 
 _Say = Callable[[str], None]
 KEYS: dict[str, Command] = {
@@ -158,7 +170,6 @@ def follow_session(
     record: Path | None,
     commands: Callable[[], list[Command]],
     say: _Say,
-    learn: bool = True,
 ) -> Iterator[Feedback]:
     """Lead through a session, and yield the feedback on each frame until its test begins or the source ends.
 
@@ -168,7 +179,6 @@ def follow_session(
     record: new folder for the recording; None: nothing is recorded.
     commands: gives the commands since the last call.
     say: prints a sentence.
-    learn: False records only.
     """
     writer, rounds = None, trainer.settings.rounds
     if record is not None:
@@ -177,7 +187,7 @@ def follow_session(
     try:
         while trainer.session.phase != "test" and (taken := source.take(phase)) is not None:
             given, before, box = commands(), trainer.session, taken.box or box
-            f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
+            f = trainer.frame(taken.time, taken.depth, source.lens, box, given)
             now, session = f.instruction, trainer.session
             phase = now.phase
             if writer is not None:
@@ -239,7 +249,7 @@ def learn_recordings(
 
 _NOTHING = (
     "The recordings hold no frame of {gesture!r} with depth {where} at the marked place; record a session of it with "
-    "`hypose gesture record`."
+    "`hypose gesture train --record`."
 )
 
 
@@ -266,7 +276,7 @@ def watch(
     """Localise the gestures of all models in every frame of a source, and yield the result of each frame.
 
     source: depth pictures; closed at the end.
-    settings: of the localisation.
+    settings: settings of the localisation.
     limits: settings of the events, per gesture.
     say: prints a sentence when no depth is near enough.
     Raises: EvidenceError at the end of a source without usable depth.
@@ -367,7 +377,7 @@ WAITING = 256
 def event_line(event: Event, names: Sequence[str]) -> str:
     """Encode an event as one line of JSON.
 
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     """
     value = {
         "event": event.kind,
@@ -386,7 +396,7 @@ def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float])
     Wekinator's /wek/outputs (each gesture's score over its threshold, at most 1).
 
     watched: result of the frame; scores in cm^2, places in m (0 where they are not known).
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     limits: thresholds of the gestures, cm^2.
     """
     messages = []
@@ -403,8 +413,111 @@ def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
     """Encode one frame as lines of JSON: {"time", "scores": {name: cm^2}}, and every event as on stdout.
 
     watched: result of the frame.
-    names: of the gestures, by their number minus 1.
+    names: names of the gestures, by their number minus 1.
     """
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
     return [frame, *(event_line(e, names) for e in watched.events)]
+
+
+# ---- commands ------------------------------------------------------------------------------------------------------
+
+
+SourceOption = Annotated[
+    str,
+    Option("realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
+]
+_LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
+
+
+def gesture_train(
+    out: Annotated[Path, Option("Model file to write (.npz).", argument=True)],
+    gesture: Annotated[str, Option("Name of the gesture.")],
+    recording: Annotated[tuple[Path, ...], Option("Recorded session to learn from (may be repeated); else live.")] = (),
+    source: SourceOption = "simulated",
+    rounds: Annotated[int, Option("Rounds of gesture and other movement.", 1, 1000)] = 3,
+    passes: Annotated[int, Option("Over the recordings.", 1, 100)] = 1,
+    resume: Annotated[Path | None, Option("Model whose trees go on growing.")] = None,
+    record_to: Annotated[Path | None, Option("New folder to record a live session to.", flag="--record")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
+    if out.suffix != ".npz":
+        raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
+    if recording and record_to is not None:
+        raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
+    check_writable(out.parent)
+    check_gesture_name(gesture)
+    old = growing_model(resume, gesture) if resume is not None else None
+    if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
+        replaced_model(out, gesture, print_note)
+    learner = new_learner(seed) if old is None else old.learner
+    if recording:
+        model = learn_recordings([read_recording(r) for r in recording], gesture, learner, passes, print_note, old)
+    else:
+        settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+        print_note(_LETTERS)
+        about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
+        model = run_session(opened, gesture, learner, settings, **about)
+    if old is not None and model.threshold is None:  # only the gesture, or only movement, was seen this time
+        model = replace(model, threshold=old.threshold)
+    save_model(model, out)
+    say(f"{gesture}: {int(model.learner.forest.size.sum())} nodes, threshold {in_cm2(model.threshold)}")
+    say(f"Model: {out}")
+
+
+def gesture_run(
+    models: Annotated[tuple[Path, ...], Option("Model files, one per gesture.", argument=True)],
+    source: SourceOption = "simulated",
+    osc: Annotated[str | None, Option("HOST:PORT to send scores and events to by OSC.")] = None,
+    ws: Annotated[int | None, Option("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
+    threshold: Annotated[
+        float | None, Option("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
+    ] = None,
+    adaptation_rate: Annotated[
+        float, Option("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
+    ] = 0.8,
+    hold: Annotated[float, Option("Seconds a gesture must be held.", 0, 3600)] = 0.15,
+    rest: Annotated[float, Option("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
+    frames: Annotated[int, Option("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)] = 0,
+    seed: Seed = 0,
+) -> None:
+    """Watch for gestures without a screen: events as JSON lines on stdout, and to the outputs that the options name."""
+    loaded = [load_model(m) for m in models]
+    least = thresholds(loaded, threshold)
+    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in least]
+    names, settings = [m.name for m in loaded], LocaliseSettings(adaptation_rate=adaptation_rate)
+    with stopping(), contextlib.ExitStack() as opened:
+        target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
+        listeners = None
+        if ws is not None:
+            listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, WAITING)))
+        pictures = open_source(source, names[0], seed)
+        for k, watched in enumerate(watch(pictures, loaded, settings, limits, print_note), 1):
+            for event in watched.events:
+                print(event_line(event, names), flush=True)
+            if target is not None:
+                target.send(gesture_osc(watched, names, least))
+            if listeners is not None:
+                for line in gesture_lines(watched, names):
+                    listeners.post(line)
+            if frames and k >= frames:
+                break
+
+
+def gesture_evaluate(
+    model: Annotated[Path, Option("Model file.", argument=True)],
+    recording: Annotated[Path, Option("Recorded session that was not learned.", argument=True)],
+) -> None:
+    """Evaluate a model on a recorded session: average precision, and hits and false alarms at its threshold."""
+    loaded, session = load_model(model), read_recording(recording)
+    if loaded.learned(session.content):
+        print_note(
+            f"note: {model} has learned from {recording}: the figures say how well it remembers that, and not how well "
+            "it finds the gesture elsewhere; give a session that was not learned."
+        )
+    with Stages() as progress:
+        progress("check", 0, 1)
+        values = evaluate_model(loaded, session)
+        progress("check", 1, 1)
+    print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))

@@ -20,16 +20,16 @@ from click.exceptions import Exit
 
 from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
-from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.reports.report import picture_rows, report_html
-from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, page, require_found, summarize
+from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
+from hypose.app.reports.summary import CONTENT_POLICY, DESCRIPTIONS, list_of, page, require_found, summarize, table_of
 from hypose.app.studio.view_bundle import Rivals, in_recording
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
-from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.files import check_writable, claimed
 from hypose.io.motions.c3d import joint_residuals, write_c3d
 from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.gltf import write_people_glb
@@ -46,12 +46,12 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment
+from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.person_paths import Wanted, said_of_places
+from hypose.pipeline.person_paths import KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
@@ -128,11 +128,11 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
 class Outcome:
     """Result of a job.
 
-    motion: of the person, or of the first of several.
+    motion: motion of the person, or of the first of several.
     complete: every frame was tracked.
     notes: for the user.
     truth: comparison with the true motion, if there is one.
-    assessment: of the motion; of several people the worst.
+    assessment: assessment of the motion; of several people the worst.
     """
 
     motion: Motion
@@ -264,7 +264,7 @@ def _track(
     return _alone(track_person(source, options, resume=job.command.resume, command=command, **about))
 
 
-def _absent(found: PeopleResult, only: Sequence[Wanted]) -> str:
+def _absent(found: PeopleResult, only: Sequence[KnownPerson]) -> str:
     """Return the sentence that the one person who was asked for by name was not found; "" where there is none."""
     for why in said_of_places(only, len(found.people) + found.others):
         return f"who of several people is {only[0].name} is not known: {why}"
@@ -351,10 +351,7 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
             return None
         modes = load_modes(results.file(MODES))
         notes = (*notes, depth_note(motion, modes))
-    judged = None
-    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-        judged = Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
-    return TrackResult(motion, load_body(body), True, notes, modes, judged=judged)
+    return TrackResult(motion, load_body(body), True, notes, modes, judged=load_assessment(results.path))
 
 
 _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
@@ -514,12 +511,11 @@ def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -
             html.escape(there),
             html.escape(p.assessment.sentence),
         )
-        rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
+        rows.append(cells)
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
-    said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
-    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
-    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")
+    table = table_of(rows, ("", "person", "height", "there", "assessment"))
+    body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{list_of(notes)}"
+    return page(job.recording.name, body, policy=f"{CONTENT_POLICY}; media-src 'self'")
 
 
 # ---- with progress --------------------------------------------------------------------------------------------------

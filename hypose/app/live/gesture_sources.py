@@ -42,8 +42,8 @@ class Taken:
 class GestureSource:
     """Source of depth pictures.
 
-    name: of the source.
-    lens: of the camera.
+    name: name of the source.
+    lens: lens parameters of the camera.
     size: (width, height), px.
     take: take(phase) returns the next picture, None at the end. phase: what the person is asked to do; only the
         simulated person does it.
@@ -64,7 +64,7 @@ def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource
 
     text: folder of a recorded session, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3 (RealSense), FILE.r3d (Record3D),
         "realsense", "simulated" or "simulated:PERSON".
-    gesture, seed: of the simulated person.
+    gesture, seed: gesture and seed of the simulated person.
     Raises: InputError for other texts.
     """
     if text == "simulated" or text.startswith("simulated:"):

@@ -19,7 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,9 @@ from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret
 from hypose.errors import InputError, visible
+from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
+from hypose.fusion.live import LiveFrame, LiveFuser
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
@@ -54,7 +55,7 @@ class FusionServerOptions:
     token: secret that senders and listeners must show; where it is missing, one is made unless only this computer can
         connect.
     record: new folder for a recording; None: nothing is recorded.
-    settings: of the fusion.
+    settings: of the output instants.
     lines_per_s, burst: limits of received lines.
     clients: most WebSocket connections.
     waiting: messages kept for a slow listener.
@@ -67,7 +68,7 @@ class FusionServerOptions:
     osc: str | None = None
     token: str | None = None
     record: Path | None = None
-    settings: LiveSettings = field(default_factory=LiveSettings)
+    settings: AlignSettings = AlignSettings()
     lines_per_s: float = 5000.0
     burst: float = 2000.0
     clients: int = 32
@@ -271,7 +272,7 @@ class LiveServer:
 
     def _hello(self, path: str) -> str | None:
         """Return the first message for a listener; None for another path than /out."""
-        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
+        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.rate}
         return json.dumps(value) if path == "/out" else None
 
 

@@ -40,7 +40,7 @@ def people_osc(
 ) -> list[OscMessage]:
     """Build the messages of a frame: /hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd.
 
-    number: of the frame.
+    number: number of the frame.
     time, latency: s.
     people: id, names of joints (J), joints (J, 3) m, sd (J) m.
     there: number of people who are not lost.

@@ -102,7 +102,7 @@ class PoseOutputs:
         """Send the poses of an instant to all outputs."""
         if not seen.poses:
             return
-        latency = self._clock() - seen.sight.arrival
+        latency = self._clock() - seen.captured.arrival
         for target, made in self._outs:
             for datagram in made(seen.poses, latency):
                 target.put(datagram)

@@ -50,7 +50,7 @@ def same_secret(shown: str, secret: str) -> bool:
 def shows_secret(query: str, authorization: str, secret: str) -> bool:
     """Test whether a request contains the secret.
 
-    query: of the address, with the token as ?token=.
+    query: query of the address, with the token as ?token=.
     authorization: value of the header, with the token as Bearer.
     """
     shown = parse_qs(query).get("token", [""])[0]
@@ -75,7 +75,7 @@ knowledge.
 
 
 class SocketServer:
-    """WebSocket server of one event loop, whose clients listen to what is posted, or send lines. A listener that is too
+    """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow loses its oldest items.
 
     hello: gives the first item for a listener by the path it asks for; None: there is no such path.
@@ -172,7 +172,7 @@ class SocketServer:
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _send(self, connection: ServerConnection, path: str) -> None:
-        """Send the first item and what is posted to a listener until the end mark, or until the listener leaves."""
+        """Send the first item and all posted ones to a listener, until the end mark or until the listener leaves."""
         queue: Queue = asyncio.Queue(self._waiting)
         if hello := self._hello(path):
             queue.put_nowait(hello)

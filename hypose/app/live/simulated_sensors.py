@@ -84,7 +84,7 @@ def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1
 def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
     """Generate the joints of a built-in motion of a random test subject at 30 Hz.
 
-    name: of the motion.
+    name: name of the motion.
     seconds: length.
     Returns: (T, 15, 3) m of the common joints, world, z up.
     """

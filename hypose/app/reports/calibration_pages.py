@@ -15,7 +15,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.result_pictures import jpeg, open_images, put_text
-from hypose.app.reports.summary import page, picture_of
+from hypose.app.reports.summary import list_of, page, picture_of, table_of
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration
@@ -74,7 +74,7 @@ def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: 
 
     found, expected: (K, 2) px in the picture; NaN where nothing is expected.
     confidence: (K,); points of at most 0.3 are left out.
-    name: of the camera.
+    name: name of the camera.
     """
     known = (confidence > 0.3) & np.isfinite(expected).all(1)
     if not known.any():
@@ -116,43 +116,23 @@ def write_check_page(
     facts: notes at the end.
     warnings: further faults.
     """
-    e = html.escape
-    assessment = (
-        '<p class="good">No fault found.</p>'
-        if report.healthy and not warnings
-        else '<p class="bad">Something is wrong; see below.</p>'
-    )
+    fine = report.healthy and not warnings
     rows = []
     for v in report.views:
         moved = "-" if v.change is None else f"{v.change.turn_deg:.2f}&deg;, {1000 * v.change.move_m:.0f} mm"
         lag = "-" if v.alignment is None else f"{v.alignment.lag:+.2f} &plusmn; {v.alignment.lag_sd:.2f}"
-        cells = (_number(v.residual_px), _number(v.left_out_px), _number(v.tangency_px), lag, moved)
-        found = [f for f in report.of(v.name) if f.fault]
-        word = (
-            '<span class="bad">' + e(", ".join(dict.fromkeys(f.kind for f in found))) + "</span>" if found else "fine"
-        )
-        rows.append(
-            f"<tr><td>{e(v.name)}</td>" + "".join(f'<td class="n">{c}</td>' for c in cells) + f"<td>{word}</td>"
-        )
-    head = (
-        "camera",
-        "residual (px)",
-        "left out (px)",
-        "silhouette (px)",
-        "key points early by (frames)",
-        "a refinement moves it by",
-        "assessment",
-    )
+        kinds = html.escape(", ".join(dict.fromkeys(f.kind for f in report.of(v.name) if f.fault)))
+        word = f'<span class="bad">{kinds}</span>' if kinds else "fine"
+        numbers = (_number(v.residual_px), _number(v.left_out_px), _number(v.tangency_px))
+        rows.append((html.escape(v.name), *numbers, lag, moved, word))
+    head = ("camera", "residual (px)", "left out (px)", "silhouette (px)", "key points early by (frames)")
+    found = [("" if f.fault else "Note: ") + f.sentence for f in report.findings]
     parts = [
-        f"<h1>{e(title)}: is the calibration right?</h1>",
-        assessment,
-        "<h2>Findings</h2><ul>",
-        *(f"<li>{'' if f.fault else 'Note: '}{e(f.sentence)}</li>" for f in report.findings),
-        *(f"<li>{e(w)}</li>" for w in warnings),
-        "</ul>" if report.findings or warnings else "<li>none</li></ul>",
-        "<h2>Cameras</h2><table><tr>" + "".join(f"<th>{e(h)}</th>" for h in head) + "</tr>",
-        *rows,
-        "</table><p class='dim'>Residual: median distance of the camera's key points from the triangulation of all "
+        f"<h1>{html.escape(title)}: is the calibration right?</h1>",
+        '<p class="good">No fault found.</p>' if fine else '<p class="bad">Something is wrong; see below.</p>',
+        "<h2>Findings</h2>" + list_of([*found, *warnings] or ["none"]),
+        "<h2>Cameras</h2>" + table_of(rows, (*head, "a refinement moves it by", "assessment"), range(1, 6)),
+        "<p class='dim'>Residual: median distance of the camera's key points from the triangulation of all "
         "views; left out: of the other views. Silhouette: by how much the planes that touch the person differ from "
         "those of the other views.</p>",
     ]
@@ -161,7 +141,7 @@ def write_check_page(
         parts.append(picture_of(jpeg(picture, picture.shape[1], 85), "jpeg"))
     if sheet.is_file():
         parts.append("<h2>Masks</h2>" + picture_of(sheet.read_bytes(), "png"))
-    parts.append("<h2>Notes</h2><ul>" + "".join(f"<li>{e(f)}</li>" for f in facts) + "</ul>")
+    parts.append("<h2>Notes</h2>" + list_of(facts))
     parts.append(f"<p class='dim'>hypose {__version__}</p>")
     write_text(path, page(f"{title}: check", "\n".join(parts)))
 
@@ -188,7 +168,7 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     were found (green to red by their error, up to 2 px), a picture without a board and why, and below them a strip with
     the result of each frame.
     views: detections of all cameras, also of videos for the lenses alone.
-    result: of the calibration; None where it failed: then corners have no error and are grey.
+    result: result of the calibration; None where it failed: then corners have no error and are grey.
     """
     rows = []
     seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
@@ -216,7 +196,7 @@ def _row(
     """Draw the row of one camera.
 
     sightings: boards by frame, as numbered by the calibration.
-    errors: of the boards by frame, px; a frame may be missing.
+    errors: errors of the boards by frame, px; a frame may be missing.
     common: frames in which most cameras see the board, in order of preference.
     """
     scale = _WIDTH / view.size[0]
@@ -274,7 +254,7 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
 def _draw_board(image: Image, sighting: BoardDetection, board: Board, scale: float) -> None:
     """Draw the corners of a board: the first row red, the first column orange, the others green.
 
-    scale: of the picture to the recorded one.
+    scale: scale of the picture to the recorded one.
     """
     nx = board.size[0]
     at = dict(zip(sighting.ids.tolist(), (scale * sighting.pixels).round().astype(int).tolist(), strict=True))

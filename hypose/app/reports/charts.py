@@ -132,8 +132,8 @@ def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010,
     """Arrange panels in rows and columns as SVG text, without external content or scripts.
 
     rows: panels by row.
-    height, width: of the whole, px.
-    shares: of the height, per row; default: equal.
+    height, width: height and width of the whole, px.
+    shares: shares of the height, per row; default: equal.
     """
     parts = []
     for i, row in enumerate(rows):

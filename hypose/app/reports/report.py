@@ -15,9 +15,8 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports import charts
-from hypose.app.reports.overlay import OverlayRows, PictureRows, Shown, still_rows, write_overlay
-from hypose.app.reports.result_pictures import jpeg
-from hypose.app.reports.summary import page, picture_of, subject_rows, summarize
+from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
+from hypose.app.reports.summary import list_of, page, picture_of, subject_rows, summarize, table_of
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
@@ -50,7 +49,7 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
 def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     """Draw the pictures for a report of a result.
 
-    recording: of the result; None: there are no pictures.
+    recording: recording of the result; None: there are no pictures.
     """
     motion, body, wanted = result.motion, result.body, picture_rows(result, False)
     if recording is None:
@@ -110,7 +109,7 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
     if not what.complete:
         parts.append('<p class="bad">The run was interrupted: this is what was tracked until then.</p>')
     if what.notes:
-        parts.append("<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(n)}</li>" for n in what.notes) + "</ul>")
+        parts.append("<h2>Notes</h2>" + list_of(what.notes))
     if what.truth is not None:
         text = f"The recording is synthetic, so the truth is known: {what.truth.mean_mm:.1f} mm mean distance over "
         text += f"{len(what.truth.names)} joints. {what.truth.note}"
@@ -152,8 +151,7 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
     )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.files:
-        rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t, _ in what.files)
-        parts.append(f"<h2>Files</h2><table>{rows}</table>")
+        parts.append("<h2>Files</h2>" + table_of((html.escape(n), html.escape(t)) for n, t, _ in what.files))
     parts.append(_origin(what))
     return "\n".join(parts)
 
@@ -206,13 +204,11 @@ def gait_section(motion: Motion, body: Body | None) -> str:
     """
     if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
         return ""
-    rows = "".join(
-        f'<tr><td>{html.escape(f.name.replace("_", " "))}</td><td class="n">{f.mean:.3g} {html.escape(f.unit)}</td>'
-        f'<td class="n">{f.low:.3g} to {f.high:.3g}</td><td class="n">{f.n}</td></tr>'
+    rows = [
+        (f.name.replace("_", " "), f"{f.mean:.3g} {html.escape(f.unit)}", f"{f.low:.3g} to {f.high:.3g}", str(f.n))
         for f in found.figures
-    )
-    head = "<tr><th></th><th>mean</th><th>with 90 %</th><th>n</th></tr>"
-    out = f"<h2>Gait</h2><table>{head}{rows}</table>"
+    ]
+    out = "<h2>Gait</h2>" + table_of(rows, ("", "mean", "with 90 %", "n"), range(1, 4))
     if cycles := angle_cycles(found.events, motion):
         caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
         caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
@@ -221,8 +217,8 @@ def gait_section(motion: Motion, body: Body | None) -> str:
 
 
 def _subject(body: Body) -> str:
-    cells = "".join(f'<tr><td>{html.escape(n)}</td><td class="n">{v:.3f} m</td></tr>' for n, v in subject_rows(body))
-    return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
+    table = table_of(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(body)), (), (1,))
+    return f'{table}<p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
 def _passes(motion: Motion) -> str:
@@ -236,11 +232,11 @@ def _passes(motion: Motion) -> str:
         frames, most = len({t for c in mine for t in c.frames}), max(mine, key=lambda c: c.moved)
         where = f"{most.joint.replace('_', ' ')}, frames {most.frames.start} to {most.frames.stop - 1} of the clip"
         cells = (stage, f"{frames}", f"{1e3 * most.moved:.0f} mm: {where}", most.reason)
-        rows.append("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in cells) + "</tr>")
-    head = "<tr><th>pass</th><th>frames</th><th>largest</th><th>why</th></tr>"
+        rows.append([html.escape(c) for c in cells])
+    table = table_of(rows, ("pass", "frames", "largest", "why"))
     least = f"Displacements of more than {1e3 * SETTINGS.trace_least_m:.0f} mm."
     how = f'<p class="dim">{least} hypose explain RESULT --joint NAME --frame N tells it of one joint.</p>'
-    return f"<details><summary>What each pass moved</summary><table>{head}{''.join(rows)}</table>{how}</details>"
+    return f"<details><summary>What each pass moved</summary>{table}{how}</details>"
 
 
 def _origin(what: ViewResult) -> str:
@@ -249,10 +245,8 @@ def _origin(what: ViewResult) -> str:
     if what.citation:
         out += f"<p>Method: {html.escape(what.citation)}</p>"
     if what.seconds:
-        rows = "".join(
-            f'<tr><td>{html.escape(k)}</td><td class="n">{v:.1f} s</td></tr>' for k, v in what.seconds.items()
-        )
-        out += f"<details><summary>Time per stage</summary><table>{rows}</table></details>"
+        table = table_of(((html.escape(k), f"{v:.1f} s") for k, v in what.seconds.items()), (), (1,))
+        out += f"<details><summary>Time per stage</summary>{table}</details>"
     record.pop("trace", None)  # it is shown in the table above
     text = html.escape(to_json(record))
     title = "Provenance: settings, versions, inputs with their hashes"

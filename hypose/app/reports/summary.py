@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def summarize(motion: Motion) -> Summary:
 def require_found(motion: Motion, name: str, kept: Path) -> None:
     """Raise EvidenceError where the person was found in no frame of a motion.
 
-    name: of the recording, for the message.
+    name: name of the recording, for the message.
     kept: folder of the motion's files.
     """
     if not (motion.lost | motion.extrapolated).all():
@@ -144,6 +145,24 @@ def page(title: str, body: str, style: str = "", scripts: str = "", policy: str 
         f"<style>{_STYLE}</style>{style}</head>\n"
         f'<body>\n<div class="report">{body}\n</div>\n{scripts}</body></html>\n'
     )
+
+
+def table_of(rows: Iterable[Sequence[str]], head: Sequence[str] = (), numbers: Container[int] = ()) -> str:
+    """Build an HTML table.
+
+    rows: HTML of the cells.
+    head: texts above the columns; none: no head.
+    numbers: columns of numbers, which are aligned to the right.
+    """
+    kinds = ("", ' class="n"')
+    lines = ["".join(f"<td{kinds[k in numbers]}>{cell}</td>" for k, cell in enumerate(row)) for row in rows]
+    top = ["".join(f"<th>{html.escape(h)}</th>" for h in head)] if head else []
+    return "<table>" + "\n".join(f"<tr>{line}</tr>" for line in (*top, *lines)) + "</table>"
+
+
+def list_of(texts: Iterable[str]) -> str:
+    """Build an HTML list of plain texts."""
+    return "<ul>" + "".join(f"<li>{html.escape(text)}</li>" for text in texts) + "</ul>"
 
 
 def picture_of(data: bytes, kind: str, caption: str = "") -> str:

@@ -60,14 +60,12 @@ class Catalog:
         self._items: dict[str, Item] = {}
         self._looked = -_FRESH_S
 
-    def items(self, kind: Kind, fresh: bool = False) -> list[Item]:
-        """List all items of a kind, last changed first; fresh: search the folder now."""
+    def items(self, kind: Kind | None = None, fresh: bool = False) -> list[Item]:
+        """List all items of a kind (None: of all kinds), last changed first; fresh: search the folder now."""
         self._look(fresh)
-        return sorted((i for i in self._items.values() if i.kind == kind), key=lambda i: (-i.changed, str(i.path)))
-
-    def every(self) -> list[Item]:
-        """List all items of the last search."""
-        return list(self._items.values())
+        return sorted(
+            (i for i in self._items.values() if kind in (None, i.kind)), key=lambda i: (-i.changed, str(i.path))
+        )
 
     def find(self, kind: Kind, id: Any) -> Item:
         """Find an item by the id that a request gives.

@@ -152,7 +152,7 @@ def fit_clicks(value: Mapping[str, Any], catalog: Catalog, recordings: Recording
     """Fit a pose to the clicks of a request, and return the answer for the page (docs/studio-protocol.md).
 
     value: the request: views, frame, recording or result, height, start.
-    catalog, recordings: of the studio.
+    catalog, recordings: catalog and recordings of the studio.
     Raises: InputError names the value that cannot be used, or says that too few joints are clicked.
     """
     item = _recording(value, catalog)
@@ -260,7 +260,7 @@ def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
 def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str]:
     """List the joints whose segment points the other way along the line of sight in another pose.
 
-    body: of both poses.
+    body: body of both poses.
     clicks: their first camera gives the line of sight.
     pose, other: (D,).
     Returns: names of the lower joint of each such segment of arms and legs.
@@ -279,7 +279,7 @@ def body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) 
     """Build the block (`view_bundle`) of the body that clicks are fitted with, one frame at rest.
 
     asked: query of the page: recording or result, height.
-    catalog, recordings: of the studio.
+    catalog, recordings: catalog and recordings of the studio.
     Raises: InputError where the height is no number from 0.4 to 2.8 m.
     """
     item = _recording(asked, catalog)
@@ -388,7 +388,7 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
 
     views: checked views.
     wanted: name of a camera, which is used where enough is clicked there; else the camera with most clicks.
-    recording: of the clicks.
+    recording: recording of the clicks.
     Returns: camera, and joints: pixels of the recorded picture by joint name. Hidden joints are used only where there
         are too few others; joints is empty where the view has no pictures.
     """

@@ -52,7 +52,7 @@ def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
 def first_picture(catalog: Catalog, where: str) -> bytes:
     """Read the first picture of a video, an image or a folder of images as a small JPEG.
 
-    catalog: of the served folder.
+    catalog: catalog of the served folder.
     where: path in it.
     """
     with open_video(catalog.inside(where)) as reader:
@@ -63,7 +63,7 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     """Write recording.toml into a folder as a page requests it (docs/studio-protocol.md); its files stay in place.
 
     A recording without a calibration, whose cameras are found later from a board or the person, is not checked further.
-    catalog: of the served folder.
+    catalog: catalog of the served folder.
     wanted: the request: folder, name, views, calibration and settings.
     Returns: the folder.
     Raises: InputError or NotNow where it cannot be used; then nothing is left behind.
@@ -108,9 +108,9 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
 def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) -> Path:
     """Resolve the file of a view, which must lie in its recording's folder.
 
-    catalog: of the served folder.
-    folder: of the recording.
-    view: of the request.
+    catalog: catalog of the served folder.
+    folder: folder of the recording.
+    view: view of the request.
     role: key of the file in it, one of _ROLES.
     """
     path = catalog.inside(text(view.get(role), role, 1000, "choose one"), folder)
@@ -131,7 +131,7 @@ def _entries(folder: Path) -> list[Path]:
 def _usable(entries: list[Path], depth: int) -> Iterator[Path]:
     """Yield files, and folders with a file per frame, that can be part of a recording; other recordings are skipped.
 
-    entries: of a folder.
+    entries: entries of a folder.
     depth: number of levels of subfolders that are searched.
     """
     for path in entries:

@@ -52,7 +52,7 @@ def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureS
     """Open a source; its name is the title for the page.
 
     where: simulated:PERSON, session:ID or realsense. Why no others: a page must not open paths.
-    gesture, seed: of a simulated person.
+    gesture, seed: gesture and seed of a simulated person.
     catalog: knows the sessions.
     Raises: InputError for other sources.
     """
@@ -143,7 +143,7 @@ class GestureTopic(Topic):
         """Read a request to teach a gesture.
 
         where: its source.
-        seed: of random numbers.
+        seed: seed of random numbers.
         Returns: the name of the gesture, and the function that makes the activity from the source.
         """
         gesture = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee").strip()
@@ -178,7 +178,7 @@ class Run:
     """Thread of one session.
 
     request: what the page requested; `fast`: recordings and simulated persons are not slowed down to real time.
-    source: of the pictures.
+    source: source of the pictures.
     activity: training or watching.
     topic: its pages get the messages.
     """

@@ -55,7 +55,7 @@ class Judge:
     """Judgement of a forest by frames before it learns them: those at the beginning of a segment, which differ most
     from learned ones, and those of the test.
 
-    lens: of the depth camera.
+    lens: lens parameters of the depth camera.
     """
 
     def __init__(self, lens: DepthLens) -> None:
@@ -167,10 +167,10 @@ class Training:
     """Training of one gesture: all is recorded and saved. Only the session's thread may call it; `save` also after that
     thread has ended.
 
-    source: of the pictures.
+    source: source of the pictures.
     gesture: its name.
-    settings: of the training.
-    seed: of random numbers, for a new forest.
+    settings: settings of the training.
+    seed: seed of random numbers, for a new forest.
     knows: the box of a picture is the true place of the gesture, and None means that it is not shown.
     old: file of the model that is trained further, or None.
     folder: new folder for the recording.
@@ -217,7 +217,7 @@ class Training:
 
         taken: the picture.
         controls: settings of the page.
-        commands: of the page since the last picture.
+        commands: commands of the page since the last picture.
         fresh: False: only the commands are new, the picture was processed before.
         """
         trainer, before = self.trainer, self.trainer.session
@@ -359,8 +359,8 @@ class Training:
 class Watching:
     """Search for the gestures of all models; nothing is learned or written.
 
-    source: of the pictures.
-    models: of one gesture each.
+    source: source of the pictures.
+    models: models of one gesture each.
     """
 
     reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
@@ -448,7 +448,7 @@ def _step(taken: Taken, found: Localisation, threshold: float | None, c: Control
 
 
 def _shown(events: Sequence[Event], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Convert events to the form of the page; names: of the gestures."""
+    """Convert events to the form of the page; names: names of the gestures."""
     return [
         {
             "kind": e.kind,

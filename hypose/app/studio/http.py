@@ -47,7 +47,7 @@ def answer(value: Any, status: int = 200) -> JSONResponse:
     change.
 
     value: anything that `json_values` converts.
-    status: of HTTP.
+    status: status of HTTP.
     """
     return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
@@ -82,11 +82,11 @@ def error_response(status: int, sentence: str) -> JSONResponse:
 def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
     """Make the route of an address.
 
-    path: of the address.
+    path: path of the address.
     call: gets the request, for POST also its JSON object; returns a response, or a value for a JSON answer. It runs in
         a thread unless it is asynchronous; its HyposeErrors become error answers.
     method: GET, POST or DELETE.
-    status: of HTTP for a value.
+    status: status of HTTP for a value.
     """
 
     async def endpoint(request: Request) -> Response:
@@ -147,7 +147,7 @@ def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
 def request_number(value: Any, what: str, low: float, high: float) -> float:
     """Return a number of a request after checking it.
 
-    value: of the request.
+    value: value of the request.
     what: what it is, for the message.
     low, high: least and largest value.
     Raises: InputError where it is no number from low to high.
@@ -162,7 +162,7 @@ def request_number(value: Any, what: str, low: float, high: float) -> float:
 def whole(value: Any, what: str, low: int, high: int) -> int:
     """Return a whole number of a request after checking it.
 
-    value: of the request.
+    value: value of the request.
     what: what it is, for the message.
     low, high: least and largest value.
     Raises: InputError where it is no whole number from low to high.
@@ -175,7 +175,7 @@ def whole(value: Any, what: str, low: int, high: int) -> int:
 def text(value: Any, what: str, longest: int, advice: str) -> str:
     """Return a text of a request after checking it.
 
-    value: of the request.
+    value: value of the request.
     what: what it is, for the message.
     longest: most letters.
     advice: next step for the user where it is missing.
@@ -191,7 +191,7 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
 def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
     """Return a word of a request after checking it.
 
-    value: of the request.
+    value: value of the request.
     what: what it is, for the message.
     allowed: words of which it must be one.
     Raises: InputError lists the allowed words.

@@ -126,7 +126,7 @@ class _Page:
     def put(self, message: str | bytes, key: Hashable = None) -> None:
         """Queue a text, or a picture with its header, which is sent when the page has drawn the last ones.
 
-        key: of messages with the same one only the newest waits; None: all wait.
+        key: key of messages with the same one only the newest waits; None: all wait.
         """
         queue: dict[Hashable, Any] = self._texts if isinstance(message, str) else self._pictures
         key = next(self._numbers) if key is None else ("newest", key)

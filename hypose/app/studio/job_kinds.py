@@ -35,7 +35,7 @@ walks.
 class Plan:
     """Command of a job.
 
-    arguments: of `hypose`.
+    arguments: as returned by `hypose`.
     title: for the page.
     recording, result: ids; the result may not exist yet.
     resumable: the same command with --resume continues.
@@ -105,7 +105,7 @@ def forms() -> dict[str, list[dict[str, Any]]]:
 def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
     """Convert options to arguments, each with its value included, so that none can be read as another option or file.
 
-    kind: of the job.
+    kind: kind of the job.
     given: values of the page by the options' names.
     """
     out = []
@@ -121,7 +121,7 @@ def _arguments(kind: str, given: Mapping[str, Any]) -> list[str]:
 def _word(name: str, value: Any) -> str:
     """Convert a value of an option to the text of its argument.
 
-    name: of the option, for the message.
+    name: name of the option, for the message.
     Raises: InputError where the value is no number, printable text without "/", or list of these.
     """
     if isinstance(value, list) and value:
@@ -138,7 +138,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
 
     kind: one of JOB_KINDS.
     request: {"recording", "result" or "skeletons": id, "options": {...}}.
-    catalog: of the served folder.
+    catalog: catalog of the served folder.
     Raises: InputError for an unknown kind or option; NotFound for an unknown id.
     """
     if kind not in JOB_KINDS:
@@ -150,7 +150,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     unknown = [str(o)[:40] for o in given if o not in known]
     if unknown:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
-    arguments = _arguments(kind, given)
+    arguments = () if kind in _OWN else _arguments(kind, given)
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
@@ -263,8 +263,8 @@ def described(folder: Path) -> dict[str, Any]:
 def found_offsets(folder: Path, names: Sequence[str]) -> list[float] | None:
     """Read how late `hypose sync` found each view to be.
 
-    folder: of the recording.
-    names: of its C views, in their order.
+    folder: folder of the recording.
+    names: names of its C views, in their order.
     Returns: (C,) frames, relative to the median view, so that few frames are lost; 0 where the lag is less than its
         error. None where it has not been found for these views.
     """
@@ -348,7 +348,7 @@ def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
 def _clicked(folder: Path, start: str) -> Path:
     """Return the file of clicks that the page saved under a name.
 
-    folder: of the recording.
+    folder: folder of the recording.
     start: "clicks:NAME".
     Raises: InputError where there are none.
     """

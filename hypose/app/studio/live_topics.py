@@ -29,12 +29,11 @@ from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.fusion.live import LiveSettings
 from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
-from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 
@@ -52,7 +51,7 @@ _STREAMS = ("http://", "https://", "rtsp://")
 def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
     """Return a new folder for a recording.
 
-    catalog: of the served folder.
+    catalog: catalog of the served folder.
     folder: folder in the served one in which it lies.
     name: wanted name, to which a number is added where it is taken.
     Raises: InputError where `folder` is a link that leads out of the served folder.
@@ -65,7 +64,7 @@ def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
 def _target(message: Message, kind: str, port: int) -> str | None:
     """Read the address HOST:PORT to send to.
 
-    message: of the page.
+    message: message of the page.
     kind: its key of the address.
     port: example for the message where the address is no text.
     Returns: None where none is given.
@@ -152,7 +151,7 @@ class FuseTopic(LiveTopic):
         if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
-        settings = LiveSettings(AlignSettings(rate=rate))
+        settings = AlignSettings(rate=rate)
         server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
         try:
             await server.start()
@@ -211,7 +210,7 @@ class CameraTopic(LiveTopic):
             return await super().heard(message)
         if self._running is None or self._engine is None:
             raise NotNow("The empty room is learnt while the cameras run; start them.")
-        self._engine.learn_room()
+        self._engine.learn_background()
 
     async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start live tracking. The message has these fields:
@@ -243,8 +242,8 @@ class CameraTopic(LiveTopic):
             recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, cameras.height)
             parts.push_async_callback(self._recorded, recorder)
             listeners.append(recorder)
-        eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
-        how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
+        capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
+        how = LiveTrackingOptions(capture, LivePersonOptions(height=cameras.height), people, pictures=True)
         self._engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
         parts.push_async_callback(self._end, self._engine)
         await run_in_threadpool(self._engine.start)
@@ -311,7 +310,7 @@ class _Pictures:
         """Send the poses of an instant, and let pictures be drawn where they are due."""
         now, people = time.monotonic(), []
         for pose in seen.poses:
-            person = json.loads(pose_json(pose, now - seen.sight.arrival, self._cameras))
+            person = json.loads(pose_json(pose, now - seen.captured.arrival, self._cameras))
             people.append(person | {"seen": not pose.lost, "sensors": person["cameras"]})
         if people:
             first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
@@ -335,7 +334,7 @@ class _Pictures:
 
     def _draw(self, seen: LiveResult) -> None:
         """Send pictures of an instant."""
-        views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
+        views = zip(self._cameras, seen.captured.jpegs, seen.captured.views, strict=True)
         pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
         self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
 

@@ -63,11 +63,11 @@ _Tables = list[list[str]]
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
     """Correct a fault of a recording by an edit of recording.toml.
 
-    folder: of the recording.
+    folder: folder of the recording.
     recording: as it is read now; None where it cannot be read.
     asked: {"what": one of _KINDS, "view": name, "path": picture or video of an empty room, "frames": by which key
         points are early, "x", "y": px by which a view's pictures are moved, "metres": height}.
-    catalog: of the served folder, in which `path` must lie.
+    catalog: catalog of the served folder, in which `path` must lie.
     Raises: InputError names the cause. Where the recording cannot be read with the edit, the old text is restored
         first; height and board are not checked in this way.
     """
@@ -111,7 +111,7 @@ def _edit_view(
 ) -> None:
     """Change the table of one view; arguments as in `edit_recording`.
 
-    tables: of recording.toml; the table is changed in place.
+    tables: tables of recording.toml; the table is changed in place.
     parsed: values of the views.
     """
     views = [k for k, lines in enumerate(tables) if _header(lines) == _VIEW]
@@ -282,9 +282,9 @@ class Recordings:
         item: the recording.
         camera: its name.
         frame: number of the frame, from 0.
-        width: of the picture, px; at most that of the camera.
+        width: width of the picture, px; at most that of the camera.
         shown: "none", or the mask as "edge", "fill" or "only".
-        settings: of the mask, texts by their names.
+        settings: settings of the mask, texts by their names.
         Raises: NotFound or InputError where there is no such picture.
         """
         with self.opened(item.path) as opened:
@@ -320,7 +320,7 @@ class Recordings:
         """Open a recording, or return the open one; it stays open while the block runs, and then as long as there is
         memory for it.
 
-        folder: of the recording.
+        folder: folder of the recording.
         frames: first frame and end of the rows; None: all frames.
         """
         key = folder, frames, _stamp(folder)

@@ -103,15 +103,18 @@ class Studio:
             "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
-            "skeletons": [self._skeletons(i) for i in catalog.items("skeletons")],
+            "skeletons": [
+                {
+                    "id": i.id,
+                    "name": i.path.name,
+                    "path": catalog.shown(i.path),
+                    "result": catalog.id_of("result", out) if (out / "motion.npz").is_file() else None,
+                }
+                for i in catalog.items("skeletons")
+                for out in [fused_in(i.path)]
+            ],
             "jobs": [j.shown() for j in self.jobs.every()],
         }
-
-    def _skeletons(self, item: Item) -> dict[str, Any]:
-        """Describe a recording of live sensors for a list; result: id of its fused result."""
-        fused = fused_in(item.path)
-        result = self.catalog.id_of("result", fused) if (fused / "motion.npz").is_file() else None
-        return {"id": item.id, "name": item.path.name, "path": self.catalog.shown(item.path), "result": result}
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
@@ -382,7 +385,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
 
     def delete(request: Request) -> Any:
         item = item_of("result", request)
-        inside = [i for i in catalog.every() if i.path != item.path and i.path.is_relative_to(item.path)]
+        inside = [i for i in catalog.items() if i.path != item.path and i.path.is_relative_to(item.path)]
         if inside or item.path == catalog.root:
             raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
         if studio.jobs.needs(item.id):

@@ -32,11 +32,10 @@ from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.files import read_json
 from hypose.io.motions.export import MOTION_FORMATS
 from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.assessment import Assessment, assess
+from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
 from hypose.tracking.recipes import citation_of
 
@@ -93,7 +92,7 @@ class Rivals:
 class ViewResult:
     """Result to show.
 
-    title: of the page.
+    title: title of the page.
     motion: the motion.
     body, rig: None where not known, e.g. for a fused skeleton.
     image_shifts: (x, y) px per camera, as in recording.toml.
@@ -106,7 +105,7 @@ class ViewResult:
     truth: comparison with the true motion of a synthetic recording.
     complete: every frame was tracked.
     rivals: other poses, where the method keeps any.
-    assessment: of the result; None where there is none.
+    assessment: assessment of the result; None where there is none.
     date: day on which the first recorded file was last written, YYYY-MM-DD; "" where not known.
     """
 
@@ -399,7 +398,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         truth=truth,
         complete=not folder.checkpoint.exists(),
         rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
-        assessment=_assessment(folder.file("assessment.json"), motion),
+        assessment=_assessment(folder.path, motion),
     )
 
 
@@ -438,8 +437,8 @@ def _citation(motion: Motion) -> str:
 def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
     """Load the body of a result.
 
-    folder: of the result.
-    motion: of the result.
+    folder: folder of the result.
+    motion: motion of the result.
     Returns: None where the motion has no poses, or no body was kept.
     Raises: InputError where body and motion do not belong together.
     """
@@ -462,21 +461,19 @@ def _rivals(path: Path, motion: Motion) -> Rivals | None:
     return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
 
 
-def _assessment(path: Path, motion: Motion) -> Assessment | None:
+def _assessment(folder: Path, motion: Motion) -> Assessment | None:
     """Load the assessment that was written after tracking; where it is missing, assess the motion."""
-    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-        return Assessment.of_document(read_json(path, "an assessment"))
-    return None if motion.low_confidence is None else assess(motion)
+    return load_assessment(folder) or (None if motion.low_confidence is None else assess(motion))
 
 
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
     """Summarize the quality of a result for a list.
 
-    folder: of the result.
-    motion: of the result.
+    folder: folder of the result.
+    motion: motion of the result.
     Returns: assessment (word or None) and its sentence, iou (0..1), sd_mm, lost (share of frames).
     """
-    reported, s = _assessment(folder / "assessment.json", motion), summarize(motion)
+    reported, s = _assessment(folder, motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
     word, sentence = (reported.word, reported.sentence) if reported else (None, None)
     return {"assessment": word, "sentence": sentence, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}

@@ -125,7 +125,7 @@ class OpenRecording:
     def read(self, view: int, row: int) -> Image | None:
         """Read the stored picture of a view, or its masks where it has only these; the last one of each view is kept.
 
-        view, row: of the picture.
+        view, row: view and row of the picture.
         Returns: (h, w, 3) BGR; None beyond the end of the view.
         """
         settings = self.recording.views[view]
@@ -157,8 +157,8 @@ class OpenRecording:
     def mask(self, view: int, row: int, settings: SilhouetteSettings) -> Mask:
         """Compute the mask that tracking would get with other settings.
 
-        view, row: of the picture.
-        settings: of the mask.
+        view, row: view and row of the picture.
+        settings: settings of the mask.
         Returns: (h, w) 0/1, at working size.
         """
         with self._lock, self._mask_lock:

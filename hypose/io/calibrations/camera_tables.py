@@ -12,9 +12,8 @@ camera.
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,9 +47,6 @@ _UNORDERED = ("quaternion", "quat", "orientation")
 _QUATERNION = ("quaternion_wxyz", "quaternion_xyzw", "qvec", *_UNORDERED)
 _PROJECTION = ("P", "projection", "projection_matrix", "proj")
 _CHAINED = "T_cn_cnm1"
-# With quaternions in the right order, the optical axes pass each other at less than this share of the distance in the
-# wrong order.
-_CLEAR = 0.5
 _DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False}
 _AXES = ("convention", "coordinate_system", "camera_convention")
 _MODEL = ("fisheye", "fisheye_model", "is_fisheye", "distortion_model", "distortion_type", "lens_model", "camera_model")
@@ -161,9 +157,7 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
     Raises: CalibrationError that names file, camera and key.
     """
     kalibr = any(_CHAINED in t for t in tables.values())
-    unordered = any(isinstance(t.get(k), list) for t in tables.values() for k in _UNORDERED)
-    order = _likely_order(rig, tables) if unordered else ""
-    poses = dict(_chained(rig, tables) if kalibr else ((n, _pose(rig.where(n), t, order)) for n, t in tables.items()))
+    poses = dict(_chained(rig, tables) if kalibr else ((n, _pose(rig.where(n), t)) for n, t in tables.items()))
     placed = [name for name, pose in poses.items() if pose is not None]
     if tables and not placed:
         rig.notes.append(
@@ -197,10 +191,9 @@ def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, A
         yield name, pose
 
 
-def _pose(where: str, table: Table, order: str = "") -> Array | None:
+def _pose(where: str, table: Table) -> Array | None:
     """Get the pose camera_from_world (4, 4) of a table, in the file's unit.
 
-    order: order of quaternions that do not state it, "wxyz" or "xyzw".
     Returns: None where the table has neither rotation nor translation.
     Raises: CalibrationError where one of them is missing or a value is wrong.
     """
@@ -218,7 +211,7 @@ def _pose(where: str, table: Table, order: str = "") -> Array | None:
     if matrix is not None:
         pose = _joined(matrix[:3, :3], matrix[:3, 3])
     else:
-        rotation = _rotation(where, table, order)
+        rotation = _rotation(where, table)
         translation = numbers_if_any(where, table, _TRANSLATION, (3,))
         if rotation is None and translation is None:
             return None
@@ -233,54 +226,28 @@ def _joined(rotation: Array, translation: Array) -> Array:
     return se3(so3_exp(rotation) if rotation.size == 3 else rotation, translation)
 
 
-def _rotation(where: str, table: Table, order: str) -> Array | None:
+def _rotation(where: str, table: Table) -> Array | None:
     """Get the rotation of a table: a vector (3,), rad, or a matrix (3, 3).
 
-    order: order of quaternions that do not state it, "wxyz" or "xyzw".
     Returns: None where the table has none.
+    Raises: CalibrationError where it is wrong, or a quaternion whose order is not stated.
     """
     key = next((k for k in _QUATERNION if k in table), None)
     if key is None:
         return numbers_if_any(where, table, _ROTATION, (3,), (3, 3))
     from scipy.spatial.transform import Rotation  # takes long to import
 
-    value, order = table[key], {"quaternion_wxyz": "wxyz", "quaternion_xyzw": "xyzw", "qvec": "wxyz"}.get(key, order)
+    value, order = table[key], {"quaternion_wxyz": "wxyz", "quaternion_xyzw": "xyzw", "qvec": "wxyz"}.get(key)
     if isinstance(value, Mapping) and value.keys() >= set("wxyz"):
         value, order = [value[c] for c in "wxyz"], "wxyz"
+    if order is None:
+        raise CalibrationError(
+            f"{where}: the order of {key} is not stated; name it quaternion_wxyz or quaternion_xyzw, as it is."
+        )
     q = numbers(where, {key: value}, (key,), (4,))
     if not 0.9 < np.linalg.norm(q) < 1.1:
         raise CalibrationError(f"{where}: {key} {q.tolist()} is no unit quaternion; correct this entry.")
     return np.asarray(Rotation.from_quat(q, scalar_first=order == "wxyz").as_matrix(), dtype=np.float64)
-
-
-def _apart(poses: Sequence[Array]) -> float:
-    """Compute the rms distance of the cameras' optical axes from the point nearest to all of them, in the file's unit.
-
-    Returns: infinity where that point is behind a camera; 0 for a single camera.
-    """
-    if len(poses) < 2:
-        return 0.0
-    turns, centres = zip(*((p[2, :3], se3_inverse(p)[:3, 3]) for p in poses), strict=True)
-    across = [np.eye(3) - np.outer(z, z) for z in turns]
-    place = np.linalg.lstsq(np.sum(across, 0), np.sum([a @ c for a, c in zip(across, centres, strict=True)], 0))[0]
-    if any(z @ (place - c) <= 0 for z, c in zip(turns, centres, strict=True)):
-        return math.inf
-    return float(np.sqrt(np.mean([np.sum((a @ (place - c)) ** 2) for a, c in zip(across, centres, strict=True)])))
-
-
-def _likely_order(rig: RigFile, tables: Mapping[str, Table]) -> str:
-    """Choose the order of quaternions that do not state it: the one with which the cameras look at a common place."""
-    first, second = (
-        (_apart([p for n, t in tables.items() if (p := _pose(rig.where(n), t, order)) is not None]), order)
-        for order in ("wxyz", "xyzw")
-    )
-    (best, order), (other, _) = sorted((first, second))
-    if not best < _CLEAR * other:
-        raise CalibrationError(
-            f"{rig.path}: the order of the quaternions is not stated; name them quaternion_wxyz or quaternion_xyzw."
-        )
-    rig.notes.append(f"{rig.path.name}: quaternions are taken as {' '.join(order)}, so that all cameras see one place.")
-    return order
 
 
 def _matrix(where: str, table: Table) -> Array:

@@ -163,7 +163,7 @@ def _of_view(
 
     path: file or folder of the view.
     index: number of the view.
-    names, cameras, paths: of all views, as for `keypoints_of_views`.
+    names, cameras, paths: names, cameras and paths of all views, as for `keypoints_of_views`.
     Returns: the only table of the file, or the one of the view's camera.
     Raises: InputError where the cameras of the file do not fit the views that name it.
     """

@@ -6,7 +6,6 @@ Only geometry is read: no materials, textures or other files that the mesh refer
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
-from hypose.io.files import read_bytes
-from hypose.io.motions.results import parse_array
+from hypose.io.files import numbers_of, read_bytes
+from hypose.io.motions.results import load_archive
 
 MAX_MESH_BYTES = 512 * 2**20
 MAX_FACES = 3_000_000
@@ -27,6 +26,7 @@ _TRIMESH = {".obj": "obj", ".ply": "ply", ".stl": "stl", ".glb": "glb", ".off": 
 MESH_ENDINGS = (*_TRIMESH, ".npz")
 # Widest hole that is closed, as a share of the largest extent; a hand's breadth of a person.
 _WIDEST_HOLE = 0.08
+_PLAIN = "as plain numbers with numpy.savez (J_regressor.toarray() if it is sparse)"
 _KIND = "a mesh (" + ", ".join(MESH_ENDINGS) + ")"
 
 
@@ -79,9 +79,9 @@ def read_person(path: str | Path) -> PersonMesh:
         raise InputError(f"{p}: a .gltf names other files; export it as one .glb instead.")
     if ending not in MESH_ENDINGS:
         raise InputError(f"{p} is not {_KIND}; export the scan in one of these formats.")
-    data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".npz":
-        return _read_smpl(p, data)
+        return _read_smpl(p)
+    data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".glb":
         from hypose.io.motions.gltf import read_skin
 
@@ -107,21 +107,14 @@ def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[n
     return vertices, faces.astype(np.int32)
 
 
-def _read_smpl(path: Path, data: bytes) -> PersonMesh:
-    """Read a body model in SMPL's format from the content of an .npz file, in its rest pose and mean shape.
+def _read_smpl(path: Path) -> PersonMesh:
+    """Read a body model in SMPL's format from an .npz file, in its rest pose and mean shape.
 
     Raises: InputError where it is not such a model.
     """
     names = ("v_template", "f", "weights", "J_regressor", "kintree_table")
-    arrays: dict[str, np.ndarray] = {}
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for name in names:
-                info = archive.getinfo(f"{name}.npy")
-                if info.file_size > MAX_MESH_BYTES:
-                    raise ValueError(f"{name} has {info.file_size / 2**20:.0f} MiB")
-                with archive.open(info) as stream:
-                    arrays[name] = parse_array(name, stream, info.file_size)
+    arrays = load_archive(path, "model in SMPL's format", f"save {', '.join(names)} {_PLAIN}", names, MAX_MESH_BYTES)
+    with numbers_of(str(path)):
         v = arrays["v_template"].astype(np.float64).reshape(-1, 3)
         f = arrays["f"].astype(np.int64).reshape(-1, 3)
         w, regressor = arrays["weights"].astype(np.float64), arrays["J_regressor"].astype(np.float64)
@@ -129,13 +122,7 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
         n = w.shape[1]
         if w.shape != (len(v), n) or regressor.shape != (n, len(v)) or parents.shape != (n,) or n < len(SMPL_JOINTS):
             shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
-            raise ValueError(f"the shapes {shapes} do not belong to one model of at least {len(SMPL_JOINTS)} joints")
-    except (KeyError, ValueError, IndexError, TypeError, zipfile.BadZipFile, OSError, EOFError) as error:
-        reason = f"{error} is missing" if isinstance(error, KeyError) else error
-        raise InputError(
-            f"{path} is not an SMPL-format model ({reason}); save {', '.join(names)} as plain numbers with numpy.savez "
-            "(J_regressor.toarray() if it is sparse)."
-        ) from None
+            raise ValueError(f"the arrays do not belong to one model of at least {len(SMPL_JOINTS)} joints: {shapes}")
     # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
     tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
     joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))

@@ -238,7 +238,7 @@ def load_archive(
 
 def _bad(path: Path, what: str, reason: object, next_step: str) -> InputError:
     """Make the InputError for a file that is not the expected archive."""
-    return InputError(f"{path} is not a {what} of hypose, or is damaged: {str(reason).rstrip('.')}; {next_step}.")
+    return InputError(f"{path} is not a {what}, or is damaged: {str(reason).rstrip('.')}; {next_step}.")
 
 
 @dataclass(frozen=True)
@@ -412,7 +412,7 @@ class Checkpoint:
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
         """Read a checkpoint of the same run.
 
-        identity: of the present run.
+        identity: identity of the present run.
         Raises: InputError where an input, a setting, the seed or a version differs; it names the difference.
         """
         found = Checkpoint.read(path)
@@ -433,7 +433,7 @@ class Checkpoint:
             frame, meta, stored = document["frame"], document["meta"], document["identity"]
             version = document["format"]
         except (ValueError, KeyError, TypeError, RecursionError):
-            raise InputError(f"{path} is not a checkpoint of hypose; {_AFRESH}.") from None
+            raise InputError(f"{path} is not a checkpoint; {_AFRESH}.") from None
         if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
             raise InputError(f"{path} is a checkpoint of another version of hypose; {_AFRESH}.")
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)

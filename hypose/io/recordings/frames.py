@@ -48,9 +48,10 @@ from hypose.evidence.silhouettes import (
 from hypose.geometry import Array, Image, Mask
 from hypose.io.file_names import folder_for
 from hypose.io.files import write_bytes, write_text
+from hypose.io.recordings.object_masks import SIDECAR
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person, persons_objects
-from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
+from hypose.io.recordings.view_source import Preparer, ViewSource
 from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
@@ -421,8 +422,8 @@ class FrameStream:
         masks = [s.objects for s in self._sources]
         objects, notes = persons_objects(r, self.rig, masks, self.keypoints, self.options.people)
         for source, chosen in zip(self._sources, objects, strict=True):
-            if chosen is not None:
-                source.choose(chosen)
+            if source.objects is not None:
+                source.objects.chosen = chosen
         self.people_notes = (*self.people_notes, *notes)
         # each camera has its own thread, so that its frames are read in order; with fewer cores, cameras share threads,
         # because more threads than cores mostly wait for each other

@@ -39,6 +39,8 @@ from hypose.io.videos.video import (
     read_image_file,
 )
 
+SIDECAR = "hypose-masks.json"
+"""Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 _LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
 _COCO_IDS = ("track_id", "object_id", "instance_id", "id")  # keys of an object's number; the first that is there counts
@@ -57,7 +59,12 @@ class ObjectMasks:
     objects: names of all objects.
     load: function of the frame that gives the masks of its objects.
     first: number of the first frame's files; None where only the order of files counts.
+
+    Attributes:
+    chosen: names of the objects that are the person; None for all.
     """
+
+    chosen: frozenset[str] | None = None
 
     def __init__(
         self,
@@ -115,7 +122,7 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
     """
     if path.is_file() and path.suffix.lower() == ".json":
         return _of_coco(path)
-    if path.is_dir():
+    if path.is_dir() and not (path / SIDECAR).is_file():
         images = list_images(path)
         inside = [p for p in sorted(path.iterdir(), key=lambda p: natural_key(p.name)) if p.is_dir() and list_images(p)]
         if not images and inside:

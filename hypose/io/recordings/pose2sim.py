@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import set_of_points
@@ -41,7 +41,7 @@ def is_project(folder: Path) -> bool:
 
     It has a Config.toml, or a calibration folder and videos or key points.
     """
-    has_config = _file(folder, "config.toml") is not None
+    has_config = _entry(folder, "config.toml") is not None
     return has_config or (_is_trial(folder) and _calibration_folder(folder) is not None)
 
 
@@ -53,7 +53,7 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """
     folder = folder.absolute()
     config = _merged_config(folder)
-    videos = _subfolder(folder, "videos")
+    videos = _entry(folder, "videos")
     clips = [] if videos is None else _clips(videos)
     posed = [] if clips else _pose_folders(folder, "pose-sync") or _pose_folders(folder)
     if not clips and not posed:
@@ -62,14 +62,9 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
             raise InputError(
                 f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these folders."
             )
-        if videos is None:
-            raise InputError(
-                f"The Pose2Sim project {folder} has no videos folder and no key points in pose; put the videos into "
-                f"{folder / 'videos'}."
-            )
         raise InputError(
-            f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images, and there are no key "
-            "points in pose; add one or the other."
+            f"The Pose2Sim project {folder} has no videos ({', '.join(VIDEO_ENDINGS)}) or folders of images in videos, "
+            f"and no key points in pose; put the videos into {folder / 'videos'}."
         )
     calibration = _find_calibration(folder)
     notes: list[str] = []
@@ -80,7 +75,7 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     for key, target in numbers.items():
         value = project.get(key)
         value = value[0] if isinstance(value, list) and value else value
-        if _is_number(value):
+        if isinstance(value, int | float):
             settings[target] = float(value)
     if "frame_rate" not in settings and not clips:
         _rate_of_results(folder, settings, notes)
@@ -113,10 +108,6 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return table if isinstance(table := config.get(name), Mapping) else {}
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def with_overrides(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
     """Merge a recording.toml that lies in a Pose2Sim project into the project's settings.
 
@@ -137,12 +128,10 @@ def with_overrides(project: Mapping[str, Any], given: Mapping[str, Any], source:
     return {**project, **{k: v for k, v in given.items() if k != "view"}, "view": list(views.values())}
 
 
-def _file(folder: Path, lower_name: str) -> Path | None:
-    return next((p for p in folder.iterdir() if p.is_file() and p.name.lower() == lower_name), None)
-
-
-def _subfolder(folder: Path, lower_name: str) -> Path | None:
-    return next((p for p in folder.iterdir() if p.is_dir() and p.name.lower() == lower_name), None)
+def _entry(folder: Path, lower_name: str) -> Path | None:
+    """Find the subfolder (or the .toml file) of this name, in whichever case it is written."""
+    named = (p for p in folder.iterdir() if p.name.lower() == lower_name)
+    return next((p for p in named if p.is_dir() != lower_name.endswith(".toml")), None)
 
 
 def _calibration_folder(folder: Path) -> Path | None:
@@ -160,7 +149,7 @@ def _levels(folder: Path) -> list[Path]:
     out = [folder]
     for parent in list(folder.parents)[:_LEVELS_ABOVE]:
         try:
-            if _file(parent, "config.toml") is not None:
+            if _entry(parent, "config.toml") is not None:
                 out.append(parent)
         except OSError:
             break
@@ -170,7 +159,7 @@ def _levels(folder: Path) -> list[Path]:
 def _merged_config(folder: Path) -> dict[str, Any]:
     """Merge the Config.toml files of the levels key by key; the one nearest to the folder wins."""
     merged: dict[str, Any] = {}
-    for path in (_file(level, "config.toml") for level in reversed(_levels(folder))):
+    for path in (_entry(level, "config.toml") for level in reversed(_levels(folder))):
         for table, values in ({} if path is None else read_toml(path)).items():
             both = isinstance(values, dict) and isinstance(merged.get(table), dict)
             merged[table] = merged[table] | values if both else values
@@ -197,7 +186,7 @@ def _clips(videos: Path) -> list[Path]:
 
 def _pose_folders(folder: Path, name: str = "pose") -> list[Path]:
     """List the folders of pose, or pose-sync, that hold key points, in natural order."""
-    pose = _subfolder(folder, name)
+    pose = _entry(folder, name)
     inside = [] if pose is None else [p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None)]
     return sorted(inside, key=lambda p: natural_key(p.name))
 
@@ -208,7 +197,7 @@ def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -
     settings: settings of the recording, to which frame_rate is added.
     notes: list to which a sentence about this is added.
     """
-    results = _subfolder(folder, "pose-3d")
+    results = _entry(folder, "pose-3d")
     for path in sorted(results.glob("*.trc")) if results is not None else ():
         with contextlib.suppress(InputError):
             settings["frame_rate"] = read_trc(path).frame_rate
@@ -222,7 +211,7 @@ def _camera_of(folder: Path) -> str:
 
 
 def _is_trial(folder: Path) -> bool:
-    return _subfolder(folder, "videos") is not None or bool(_pose_folders(folder))
+    return _entry(folder, "videos") is not None or bool(_pose_folders(folder))
 
 
 def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> list[Path | None]:
@@ -232,7 +221,7 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
     names: names of the views.
     notes: list to which sentences about the choice are added.
     """
-    pose = _subfolder(folder, "pose")
+    pose = _entry(folder, "pose")
     if pose is None:
         return [None] * len(names)
     folders = _pose_folders(folder)
@@ -246,7 +235,7 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
     missing = [n for n, m in zip(names, matched, strict=True) if m is None]
     if folders and missing:
         notes.append(f"No key points for {', '.join(missing)} in {pose}.")
-    if _subfolder(folder, "pose-sync") is not None:
+    if _entry(folder, "pose-sync") is not None:
         notes.append(
             "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as they are."
         )

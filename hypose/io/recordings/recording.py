@@ -512,7 +512,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     if any(v.keypoints for v in views):
         keypoint_set = next((k.keypoint_set for k in keypoints if k is not None), keypoint_set or "BODY_25")
     reported = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
-    views, clips, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, reported, notes)
+    views, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, reported, notes)
     keypoints = _by_stored_frames(keypoints, views)
     if any(clips):
         n_frames = common_frames(views, clips, notes)

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.recordings.object_masks import ObjectMasks, open_masks
+from hypose.io.recordings.object_masks import SIDECAR, ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
 # Ratio of frame rates below which they count as equal: 29.97 and 30 frames/s differ by rounding in the container.
 _ALIKE = 1.005
-SIDECAR = "hypose-masks.json"
-"""Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +60,13 @@ class ViewSettings:
         return self.source is not None or self.masks is not None
 
 
-@dataclass(frozen=True)
-class _ClipInfo:
-    """Properties of one video, image folder or mask source; `first` as in `ObjectMasks`."""
-
-    path: Path
-    size: tuple[int, int]
-    n_frames: int
-    stated_frames: int
-    frame_rate: float | None
-    first: int | None = None
+_Clip = VideoReader | ObjectMasks
+"""A video, folder of images or masks of a view, with its size, length and frame rate; no picture is read yet."""
 
 
-def look(view: ViewSettings) -> list[_ClipInfo]:
-    """Open the files of a view (video or images, then masks) and read their size, length and frame rate."""
-    out = []
+def look(view: ViewSettings) -> list[_Clip]:
+    """Open the files of a view (video or images, then masks)."""
+    out: list[_Clip] = []
     for path in (view.source, view.masks):
         if path is None:
             continue
@@ -85,14 +75,11 @@ def look(view: ViewSettings) -> list[_ClipInfo]:
             continue  # found by frame number; there may be masks of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
-        of_masks = path == view.masks and not made_here
-        with open_masks(path, view.first_mask) if of_masks else open_video(path) as reader:
-            first = reader.first if isinstance(reader, ObjectMasks) else None
-            out.append(_ClipInfo(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
+        out.append(open_masks(path, view.first_mask) if path == view.masks else open_video(path))
     return out
 
 
-def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_ClipInfo]]]:
+def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_Clip]]]:
     """Read the properties of all views' files, and number masks of one folder per object alike in all views.
 
     Where such files begin with different numbers, the lowest is the first frame of all views.
@@ -103,15 +90,15 @@ def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list
     """
     with ThreadPoolExecutor(len(views)) as pool:  # counting the frames that can be decoded takes time
         clips = list(pool.map(look, views))
-    numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
-    begin = [c.first for c in numbered.values() if c.first is not None]
-    spans = [c.n_frames for c in numbered.values()]
-    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # independent counters of cameras differ by more
+    masks = {k: c for k, found in enumerate(clips) for c in found if isinstance(c, ObjectMasks)}
+    numbered = {k: c.first for k, c in masks.items() if c.first is not None}
+    begin, shortest = sorted(numbered.values()), min((masks[k].n_frames for k in numbered), default=0)
+    if not 0 < (begin[-1] - begin[0] if begin else 0) < shortest:  # independent counters of cameras differ by more
         return list(views), clips
-    same = [replace(v, first_mask=min(begin)) if k in numbered else v for k, v in enumerate(views)]
-    late = ", ".join(f"{views[k].name} {c.first}" for k, c in numbered.items() if c.first != min(begin))
+    same = [replace(v, first_mask=begin[0]) if k in numbered else v for k, v in enumerate(views)]
+    late = ", ".join(f"{views[k].name} {first}" for k, first in numbered.items() if first != begin[0])
     notes.append(
-        f"Files of masks begin with different numbers ({min(begin)}, but {late}): they are taken as the numbers of all "
+        f"Files of masks begin with different numbers ({begin[0]}, but {late}): they are taken as the numbers of all "
         "views' frames."
     )
     return same, [look(v) if k in numbered else clips[k] for k, v in enumerate(same)]
@@ -127,8 +114,7 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
         return open_video(view.source, threads, rate=view.rate)
     if view.masks is None:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
-    made_here = (view.masks / SIDECAR).is_file()
-    return open_video(view.masks) if made_here else open_masks(view.masks, view.first_mask)
+    return open_masks(view.masks, view.first_mask)
 
 
 def check_picture_size(
@@ -196,10 +182,10 @@ def on_one_clock(
     where: str,
     given: float | None,
     views: Sequence[ViewSettings],
-    clips: Sequence[list[_ClipInfo]],
+    clips: Sequence[list[_Clip]],
     reported: float | None,
     notes: list[str],
-) -> tuple[list[ViewSettings], list[list[_ClipInfo]], float]:
+) -> tuple[list[ViewSettings], float]:
     """Determine the frame rate of a recording, and read irregular videos by their time stamps.
 
     The frame rate is the given one, else that of the videos (the lowest), else that of the key points' file. Videos
@@ -210,7 +196,8 @@ def on_one_clock(
     views, clips: views, and the properties of their files as `look_together` gives them.
     reported: frame rate of the key points' file, frames/s; None where it has none.
     notes: list to which sentences about irregular videos are added.
-    Returns: the views with `rate` set where needed, their files' properties, the frame rate.
+    Returns: the views with `rate` set where needed, and the frame rate; n_frames of the files of such views are set to
+        the number of frames that are read.
     Raises: InputError where no frame rate is known or it is implausible.
     """
     if given is not None and not 0.1 <= given <= 10_000:
@@ -230,7 +217,7 @@ def on_one_clock(
     if given is not None and found is not None and abs(given / found - 1) > 0.005:
         says = "videos say" if rates else "file of key points says"
         notes.append(f"frame_rate = {given:g} is used as given; the {says} {found:g} frames/s.")
-    timed_views, timed_clips = list(views), list(clips)
+    timed_views = list(views)
     for k, (view, t) in enumerate(zip(views, times, strict=True)):
         if t is None or not rates or found is None:
             continue
@@ -239,9 +226,10 @@ def on_one_clock(
         if stored is None:
             continue
         timed_views[k] = timed
-        timed_clips[k] = [replace(c, n_frames=len(stored), stated_frames=len(stored)) for c in clips[k]]
+        for clip in clips[k]:
+            clip.n_frames = clip.stated_frames = len(stored)
         notes.append(f"View {view.name}: {_of_times(t)}, so it is read by its time stamps at {found:g} frames/s.")
-    return timed_views, timed_clips, float(given if given is not None else found or 0.0)
+    return timed_views, float(given if given is not None else found or 0.0)
 
 
 def _step(times: Array) -> float:
@@ -262,7 +250,7 @@ def _of_times(times: Array) -> str:
     return f"its video has {1 / step:.4g} frames/s"
 
 
-def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
+def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_Clip]], notes: list[str]) -> int:
     """Count the frames that every view has.
 
     views, clips: views, and the properties of their files.

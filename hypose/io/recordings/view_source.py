@@ -36,8 +36,8 @@ from hypose.evidence.silhouettes import (
     bounding_box,
 )
 from hypose.geometry import DepthMap, Image, Mask
-from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.recordings.recording_views import SIDECAR, ViewSettings, stored_numbers
+from hypose.io.recordings.object_masks import SIDECAR, ObjectMasks, open_masks
+from hypose.io.recordings.recording_views import ViewSettings, stored_numbers
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
@@ -275,7 +275,6 @@ class _MaskSource:
 
     Attributes:
     objects: masks of several objects; None where the masks do not separate objects.
-    chosen: names of the objects that are the person; None for all.
     """
 
     def __init__(self, view: ViewSettings, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
@@ -285,7 +284,6 @@ class _MaskSource:
         self._reader = None if made_here else open_masks(path, view.first_mask)
         self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()} if made_here else {}
         self.objects = self._reader if isinstance(self._reader, ObjectMasks) else None
-        self.chosen: frozenset[str] | None = None
         self.person = lru_cache(maxsize=1)(self._person)
 
     def _person(self, frame: int) -> Mask:
@@ -304,7 +302,7 @@ class _MaskSource:
             if self.objects is None:
                 whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},")
             else:
-                whole = self.objects.union(frame, self.chosen)
+                whole = self.objects.union(frame, self.objects.chosen)
             mask = self._prepare(np.repeat(whole[..., None] * np.uint8(255), 3, 2))[..., 0]
         return (mask > 127).astype(np.uint8)
 
@@ -349,11 +347,6 @@ class ViewSource:
     def objects(self) -> ObjectMasks | None:
         """Masks of several objects of this view; None where its masks do not separate objects."""
         return self._masks.objects if self._masks else None
-
-    def choose(self, objects: frozenset[str]) -> None:
-        """Set the objects of the masks that are the person."""
-        if self._masks:
-            self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
         """Read the undistorted picture (h, w, 3) BGR of a frame at working size.

@@ -5,12 +5,10 @@ A depth map is (h, w) float32 in metres, 0 for a hole, with pixel centres at int
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import itertools
 import os
 import struct
-import tempfile
 import time
 import zipfile
 import zlib
@@ -24,13 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.errors import HyposeError, InputError, extra
+from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images, sequence_numbers
+from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, is_cut_png, list_images, sequence_numbers
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -222,8 +220,7 @@ def open_realsense(serial: str | None = None) -> DepthFile:
     library = _library()
     config = library.config()
     config.enable_stream(library.stream.depth)
-    with _no_report_at_home():
-        found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
+    found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
     if not found or (serial is not None and serial not in found):
         there = f"the connected ones are {', '.join(sorted(found))}" if found else "none is connected"
         which = "No RealSense camera can be used" if serial is None else f"There is no RealSense camera {serial}"
@@ -266,8 +263,6 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> DepthFile:
         scale = float(device.first_depth_sensor().get_depth_scale())
     except RuntimeError:
         pipeline.stop()
-        with _no_report_at_home():
-            del pipeline, profile, device
         raise InputError(f"{what} has no depth; record with the depth stream switched on.") from None
     if not (0 < lens.width <= MAX_SIDE and 0 < lens.height <= MAX_SIDE and 0 < scale < 1):
         pipeline.stop()
@@ -283,7 +278,7 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
     scale: size of a step of the values, m.
     what: camera or file, for the error message.
     """
-    first, last, frames, frame = None, -np.inf, None, None
+    first, last = None, -np.inf
     try:
         while True:
             ok, frames = pipeline.try_wait_for_frames(_PATIENCE_MS)
@@ -299,23 +294,6 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
         raise InputError(f"{what} cannot be read any further ({_short(error)}); record again.") from None
     finally:
         pipeline.stop()
-        with _no_report_at_home():
-            del pipeline, frames, frame
-
-
-@contextlib.contextmanager
-def _no_report_at_home() -> Iterator[None]:
-    """Redirect the home folder while the last objects of the library are deleted.
-
-    Why: since version 2.59, pyrealsense2 then writes usage counts to ~/.rum.
-    """
-    home = os.environ.get("HOME")
-    with tempfile.TemporaryDirectory(prefix="hypose-") as folder:
-        os.environ["HOME"] = folder
-        try:
-            yield
-        finally:
-            os.environ.pop("HOME") if home is None else os.environ.update(HOME=home)
 
 
 def _short(error: Exception) -> str:
@@ -569,22 +547,14 @@ class _RealSense:
             close()
 
 
-class _Maps:
-    """A folder of depth maps (16-bit PNG, mm) as a `Film`, whose pictures are maps (h, w), float32 m."""
+class _Maps(VideoReader):
+    """A folder of depth maps (16-bit PNG, mm), which are read as maps (h, w), float32 m."""
 
-    frame_rate: float | None = None
-
-    def __init__(self, folder: Path) -> None:
-        self.path, self._files, self.position = folder, list_images(folder), 0
-        self.n_frames = len(self._files)
-
-    def read(self, number: int) -> DepthMap:
+    def read(self, index: int | None = None, out: Any = None) -> Any:
         """Read a map by its number; a damaged one becomes a map without depth."""
-        self.position = number + 1
+        number = self.position if index is None else index
+        self.seek(number + 1)
         try:
-            return read_depth_png(self._files[number])
-        except HyposeError:
+            return read_depth_png((self._images or [])[number])
+        except InputError:
             return np.zeros((1, 1), np.float32)
-
-    def close(self) -> None:
-        """Do nothing, because no file stays open."""

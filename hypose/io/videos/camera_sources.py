@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import HyposeError, InputError
-from hypose.io.videos.video import open_video, quiet
+from hypose.io.videos.video import VideoReader, open_video, quiet
 
 
 class StreamEnded(HyposeError):
@@ -161,32 +161,6 @@ def without_password(address: str) -> str:
 # ---- files -----------------------------------------------------------------------------------------------------------
 
 
-class Film(Protocol):
-    """Interface of everything that can be played: numbered pictures.
-
-    path: file or folder, for the error messages.
-    frame_rate: Hz; None where not known.
-    n_frames: number of pictures.
-    """
-
-    path: Path
-    frame_rate: float | None
-    n_frames: int
-
-    @property
-    def position(self) -> int:
-        """Number of the picture that comes next."""
-        ...
-
-    def read(self, number: int, /) -> NDArray[Any]:
-        """Read a picture by its number."""
-        ...
-
-    def close(self) -> None:
-        """Release the files."""
-        ...
-
-
 class Played:
     """A video or folder of pictures that is played at its own speed as a `CameraSource`.
 
@@ -200,7 +174,7 @@ class Played:
 
     live = False
 
-    def __init__(self, reader: Film, rate: float, begin: float, loop_s: float | None = None) -> None:
+    def __init__(self, reader: VideoReader, rate: float, begin: float, loop_s: float | None = None) -> None:
         self._reader, self._rate, self._begin, self._loop_s = reader, reader.frame_rate or rate, begin, loop_s
 
     def read(self) -> CameraImage:

@@ -324,10 +324,6 @@ def frame_size(path: str | Path) -> tuple[int, int]:
     images = _images_of(Path(path))
     if images is None:
         return _about(Path(path)).size
-    data = read_image_file(images[0])
-    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # the header gives the size
-        width, height = struct.unpack_from(">II", data, 16)
-        return width, height
     image = read_image(images[0])
     return image.shape[1], image.shape[0]
 

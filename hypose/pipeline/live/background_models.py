@@ -36,12 +36,11 @@ from hypose.pipeline.settings import SETTINGS
 class ViewBackground:
     """Background and segmentation of one colour view; used by one thread at a time.
 
-    camera: as calibrated.
+    camera: calibrated camera.
     small: pinhole camera of the working size.
-    shift: px of the calibrated size that are added to image positions.
+    shift: (x, y) offset that is added to positions in the stored pictures, px of the calibrated size.
     options: settings of the masks.
-    background: where it is known already; None: `learn` must be called first.
-    """
+    background: background model, where it is known already; None: `learn` must be called first."""
 
     def __init__(
         self,
@@ -64,9 +63,9 @@ class ViewBackground:
         """Whether something moved while the background was learned, such as a person who has not left; False without a
         background.
         """
-        room = self.background
-        return (
-            room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
+        known = self.background
+        return known is not None and float((known.sd.max(2) > SETTINGS.scene_moved_grey).mean()) > (
+            SETTINGS.scene_moved_share
         )
 
     def learn(self, images: Sequence[Image]) -> None:
@@ -84,8 +83,9 @@ class ViewBackground:
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
-        """Return whether the background is known and its last update is long enough ago at `time`, s."""
-        return self.background is not None and time - self._learnt >= SETTINGS.rooms_every_s
+        """Return whether an update of the background is due at a time (s): the background is known, and its last
+        update is long enough ago."""
+        return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Update the background to slow changes of the scene, if an update is due.
@@ -102,14 +102,14 @@ class ViewBackground:
             return
         assert self._segment is not None
         found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
-        sparse, before = np.s_[:: SETTINGS.rooms_sparse, :: SETTINGS.rooms_sparse], self.background.mean
+        sparse, before = np.s_[:: SETTINGS.scene_sparse, :: SETTINGS.scene_sparse], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)
         other = _around(found)
         free = np.ones_like(other) if person is None else 1 - _around(person)
-        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_light_s), free & (1 - other))
+        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.scene_light_s), free & (1 - other))
         if person is not None:
-            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_thing_s), free & other)
+            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.scene_thing_s), free & other)
         self._take(replace(self.background, mean=mean))
 
     def _take(self, background: BackgroundModel) -> None:
@@ -122,11 +122,11 @@ def _around(mask: Mask) -> Mask:
     box = bounding_box(mask)
     if box is None:
         return mask
-    size = 2 * max(2, round(SETTINGS.rooms_margin * (box[1] - box[0]))) + 1
+    size = 2 * max(2, round(SETTINGS.scene_margin * (box[1] - box[0]))) + 1
     return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
 
 
-class NetworkRoom:
+class NetworkBackground:
     """Segmentation of one view by a network that finds people, in place of a `ViewBackground`; it needs no background,
     and is used by one thread at a time.
 
@@ -172,11 +172,11 @@ Millimetres = NDArray[np.uint16]
 class DepthViewBackground:
     """Background and segmentation of one depth view, in place of a `ViewBackground`; used by one thread at a time.
 
-    camera: as calibrated.
+    camera: calibrated camera.
     small: pinhole camera of the working size.
-    shift: px of the calibrated size that are added to image positions.
-    background: where it is known already. It is not updated, since light does not change depth.
-    """
+    shift: (x, y) offset that is added to positions in the stored maps, px of the calibrated size.
+    background: background model, where it is known already; None: `learn` must be called first. It is not updated,
+        since light does not change depth."""
 
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
@@ -189,11 +189,10 @@ class DepthViewBackground:
     @property
     def moved(self) -> bool:
         """Whether something moved while the background was learned; False without a background."""
-        room = self.background
-        known = None if room is None else room.depth > 0
-        if room is None or known is None or not known.any():
+        background = self.background
+        if background is None or not background.depth.any():
             return False
-        return float((room.sd[known] > SETTINGS.rooms_moved_m).mean()) > SETTINGS.rooms_moved_share
+        return float((background.sd[background.depth > 0] > SETTINGS.scene_moved_m).mean()) > SETTINGS.scene_moved_share
 
     def learn(self, maps: Sequence[DepthMap]) -> None:
         """Learn the background from stored maps (H, W) m of the empty room."""

@@ -40,10 +40,9 @@ class PackedMasks:
 
     time: s.
     bits: packed masks of C views.
-    usable, reasons: per view, as in `Silhouettes`.
-    ignored, expected: what other people hide, as in `Silhouettes`.
-    depth: where depth cameras see.
-    """
+    usable, reasons: (C,) whether each view is usable, and a short text why not ("" where it is).
+    ignored, expected: packed pixels that other people cover, and the person's expected place, as in `Silhouettes`.
+    depth: depth of the person; empty without depth cameras."""
 
     time: float
     bits: NDArray[np.uint8]
@@ -87,11 +86,10 @@ def fitted_body(
     """Fit a body to the person in the masks.
 
     kept: consecutive masks.
-    rate: of the masks, Hz.
+    rate: rate of the masks, Hz.
     height: m, where known.
-    seed: of random numbers.
-    Returns: None where the masks do not determine a body.
-    """
+    seed: seed of random numbers.
+    Returns: the body; None where the masks do not determine one."""
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
     with contextlib.suppress(EvidenceError):
@@ -103,7 +101,7 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
     """Estimate how late each camera's pictures come, from the masks of a moving person.
 
     kept: consecutive masks.
-    rate: of the masks, Hz.
+    rate: rate of the masks, Hz.
     Returns: (C,) s; None where the masks do not determine it, or no camera is late.
     """
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])
@@ -121,15 +119,14 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
 
 
 class BackgroundWork:
-    """Slow work in a process of low priority, one piece after the other; the process runs only while there is work,
-    since it needs as much memory as everything else.
+    """Executor of slow work (fits of bodies, time offsets of cameras) in a process of low priority, one task after
+    the other. The process runs only while there is work, since it needs as much memory as everything else.
 
-    `body` and `offsets` return a future at once. Its result is None where the process was ended meanwhile, as a system
-    does that is out of memory; live tracking continues.
+    `body` and `offsets` return a future at once. Its result is None where the operating system ended the process
+    meanwhile, for example for lack of memory; live tracking continues.
 
     Why a thread and a pipe instead of a pool of processes: in Python 3.11.2 the program never ends when a pool's
-    process is ended while it receives masks.
-    """
+    process is ended while it receives masks."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
@@ -139,11 +136,15 @@ class BackgroundWork:
     def body(
         self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
     ) -> Future[Body | None]:
-        """Start `fitted_body` in the process; return a future."""
+        """Start to fit a body to the person in the masks; arguments and result are those of `fitted_body`.
+
+        Returns: future of the body, or of None."""
         return self._thread.submit(self._elsewhere, fitted_body, list(kept), rig, rate, height, seed)
 
     def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
-        """Start `offsets_of` in the process; return a future."""
+        """Start to estimate how late each camera's pictures come; arguments and result are those of `offsets_of`.
+
+        Returns: future of the offsets (C,), s, or of None."""
         return self._thread.submit(self._elsewhere, offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
-from hypose.pipeline.live.background_models import DepthViewBackground, NetworkRoom, ViewBackground
+from hypose.pipeline.live.background_models import DepthViewBackground, NetworkBackground, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, punctual, start_process
 from hypose.pipeline.settings import SETTINGS
@@ -50,7 +50,7 @@ class LiveView:
     background: of the empty room, where known.
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
-    depth_room: background of a depth camera, where known.
+    depth_background: background of a depth camera, where known.
     loop_s: period after which a video begins again, s; None: it ends.
     """
 
@@ -60,7 +60,7 @@ class LiveView:
     background: BackgroundModel | None = None
     stretched: bool = False
     depth: bool = False
-    depth_room: DepthBackground | None = None
+    depth_background: DepthBackground | None = None
     loop_s: float | None = None
 
 
@@ -68,7 +68,7 @@ class LiveView:
 class CaptureOptions:
     """Options of capture.
 
-    rate: of the cameras, Hz; requested from devices, and assumed for files without a rate.
+    rate: rate of the cameras, Hz; requested from devices, and assumed for files without a rate.
     countdown: before the empty room is learned, s.
     silhouettes: how masks are made.
     network: most people that a network finds where the background is not known; 0: the background is learned.
@@ -88,7 +88,7 @@ class CaptureRequest:
     bodies: vertices (V, 3) m and faces (F, 3) of the tracked people; empty: their places are not known.
     following: a person is tracked.
     pictures: pictures are wanted too.
-    room: learn the empty room again.
+    learn: learn the empty room again.
     offsets: (C,) delays of the cameras, s; None: unchanged.
     """
 
@@ -96,7 +96,7 @@ class CaptureRequest:
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
     following: bool = False
     pictures: bool = False
-    room: bool = False
+    learn: bool = False
     offsets: tuple[float, ...] | None = None
 
 
@@ -111,20 +111,20 @@ class CaptureResult:
     cameras: status of each camera.
     instants: number of instants so far.
     words: sentences on the next step or the cause of a failure.
-    room: the empty room is being learned.
+    learning: the empty room is being learned.
     made: time spent on the masks, s.
     depths: (h, w) mm of each depth camera.
     empty: stored maps of the empty room, after it was learned.
     """
 
-    time: float
-    arrival: float
-    views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...]
-    jpegs: tuple[bytes | None, ...]
     cameras: tuple[FeedStatus, ...]
     instants: int
     words: tuple[str, ...]
-    room: bool
+    learning: bool = False
+    time: float = float("nan")
+    arrival: float = float("nan")
+    views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...] = ()
+    jpegs: tuple[bytes | None, ...] = ()
     made: float = 0.0
     depths: tuple[NDArray[np.uint16] | None, ...] = ()
     empty: tuple[tuple[bytes, ...], ...] = ()
@@ -148,10 +148,10 @@ class Capture:
             for v, c in zip(views, rig, strict=True)
         ]
         shapes = zip(views, rig, self.small, strict=True)
-        self._rooms = [
-            DepthViewBackground(c, small, v.shift, v.depth_room)
+        self._backgrounds = [
+            DepthViewBackground(c, small, v.shift, v.depth_background)
             if v.depth
-            else NetworkRoom(c, small, v.shift, network)
+            else NetworkBackground(c, small, v.shift, network)
             if v.background is None and network is not None
             else ViewBackground(c, small, v.shift, options.silhouettes, v.background)
             for v, c, small in shapes
@@ -159,7 +159,7 @@ class Capture:
         self._least = least_cameras(views)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="masks")
         self._last, self._instants = -np.inf, 0
-        self._room_from: float | None = None
+        self._learn_from: float | None = None
         self._pictures: list[list[NDArray[Any]]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
         self._empty: tuple[list[NDArray[Any]], ...] = ()
@@ -171,8 +171,8 @@ class Capture:
             for feed in self._feeds:
                 feed.stop()
             raise
-        if any(r.background is None for r in self._rooms):
-            self._learn_room()
+        if any(b.background is None for b in self._backgrounds):
+            self._start_learning()
 
     def close(self) -> None:
         """Release the cameras."""
@@ -187,62 +187,55 @@ class Capture:
         """Whether all cameras are files that are over."""
         return all(f.status().ended for f in self._feeds)
 
-    def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
+    def look(self, request: CaptureRequest, wait: float = 0.1) -> CaptureResult:
         """Make the masks of the newest instant, with pictures and depth where requested; after `wait` seconds without
         an instant, return the state of the cameras only.
         """
-        if question.room:
-            self._learn_room()
-        if question.offsets is not None:
+        if request.learn:
+            self._start_learning()
+        if request.offsets is not None:
             with self._arrived:
-                for feed, late in zip(self._feeds, question.offsets, strict=True):
-                    feed.offset, feed.ahead = late, max(question.offsets) - late
+                for feed, late in zip(self._feeds, request.offsets, strict=True):
+                    feed.offset, feed.ahead = late, max(request.offsets) - late
         until = time.monotonic() + wait
-        while (found := self._newest(question.pause, until)) is None:
+        while (found := self._newest(request.pause, until)) is None:
             if time.monotonic() >= until:
-                return self._sight()
+                return self._result()
         at, shots = found
         self._count(at)
         self._last = at
-        if self._room_from is not None:
+        if self._learn_from is not None:
             self._learn(shots)
-            return self._sight()
+            return self._result()
         begin = time.perf_counter()
         tasks = [
-            None if shot is None else self._pool.submit(self._view, c, shot, at, question)
+            None if shot is None else self._pool.submit(self._view, c, shot, at, request)
             for c, shot in enumerate(shots)
         ]
         views = tuple(None if task is None else task.result() for task in tasks)
-        jpegs = tuple(None if shot is None or not question.pictures else stored(shot.picture) for shot in shots)
+        made = time.perf_counter() - begin
+        jpegs = tuple(None if shot is None or not request.pictures else stored(shot.picture) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
         depths = tuple(
-            r.seen if isinstance(r, DepthViewBackground) and v is not None else None
-            for r, v in zip(self._rooms, views, strict=True)
+            b.seen if isinstance(b, DepthViewBackground) and v is not None else None
+            for b, v in zip(self._backgrounds, views, strict=True)
         )
-        made = time.perf_counter() - begin
-        empty = self._empty if question.pictures else ()
-        if empty:
-            self._empty = ()
-        encoded = tuple(tuple(filter(None, map(stored, maps))) for maps in empty)
-        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
+        empty: tuple[tuple[bytes, ...], ...] = ()
+        if request.pictures:
+            empty, self._empty = tuple(tuple(filter(None, map(stored, maps))) for maps in self._empty), ()
+        about = {"time": at, "arrival": arrival, "views": views, "jpegs": jpegs, "made": made}
+        return self._result(**about, depths=depths, empty=empty)
 
     def keep_up(self) -> None:
-        """Update the backgrounds to what has changed in the rooms."""
-        for room, view, image, at, question in self._to_follow:
-            room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
+        """Update the backgrounds to slow changes of the scene, such as light, from the pictures of the last results."""
+        for background, view, image, at, request in self._to_follow:
+            background.follow(image, at, self._covered(view, request.bodies) if request.bodies else None)
         self._to_follow = []
 
-    def _sight(
-        self,
-        at: float = float("nan"),
-        arrival: float = float("nan"),
-        views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...] = (),
-        jpegs: tuple[bytes | None, ...] = (),
-        made: float = 0.0,
-    ) -> CaptureResult:
-        cameras, words = tuple(f.status() for f in self._feeds), self._words()
-        room = self._room_from is not None
-        return CaptureResult(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
+    def _result(self, **shown: Any) -> CaptureResult:
+        """Make the result of an instant; without `shown`, its fields, it holds the state of the cameras only."""
+        cameras, learning = tuple(f.status() for f in self._feeds), self._learn_from is not None
+        return CaptureResult(cameras, self._instants, self._words(), learning, **shown)
 
     def _newest(self, pause: float, until: float) -> tuple[float, list[CameraImage | None]] | None:
         with self._arrived:
@@ -262,16 +255,16 @@ class Capture:
         self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
 
     def _view(
-        self, view: int, shot: CameraImage, at: float, question: CaptureRequest
+        self, view: int, shot: CameraImage, at: float, request: CaptureRequest
     ) -> tuple[NDArray[np.uint8], ViewOutline | None] | None:
-        room, image = self._rooms[view], self._picture(view, shot)
+        background, image = self._backgrounds[view], self._picture(view, shot)
         if image is None:
             return None
-        mask, outline = room.mask(image)
-        turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all views in one instant
-        wanted = turn and (question.bodies or not question.following)
-        if wanted and isinstance(room, ViewBackground) and room.due(at):
-            self._to_follow.append((room, view, image, at, question))
+        mask, outline = background.mask(image)
+        turn = int(at * len(self._backgrounds)) % len(self._backgrounds) == view  # not all views in one instant
+        wanted = turn and (request.bodies or not request.following)
+        if wanted and isinstance(background, ViewBackground) and background.due(at):
+            self._to_follow.append((background, view, image, at, request))
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
@@ -280,8 +273,8 @@ class Capture:
         """
         image, (cw, ch), name = shot.picture, self._sizes[view], self._views[view].name
         h, w = image.shape[:2]
-        wrong = not self._views[view].stretched and abs(w * ch - h * cw) > SETTINGS.eyes_other_shape * h * cw
-        turned = abs(w * cw - h * ch) <= SETTINGS.eyes_other_shape * h * ch
+        wrong = not self._views[view].stretched and abs(w * ch - h * cw) > SETTINGS.capture_other_shape * h * cw
+        turned = abs(w * cw - h * ch) <= SETTINGS.capture_other_shape * h * ch
         self._wrong[view] = (
             f"{name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
             + ("turn it back." if turned else "set it to pictures of that shape, or calibrate it as it is.")
@@ -301,38 +294,41 @@ class Capture:
 
     # ---- the empty room ----------------------------------------------------------------------------------------------
 
-    def _learn_room(self) -> None:
-        self._room_from = time.monotonic() + self._options.countdown
+    def _start_learning(self) -> None:
+        self._learn_from = time.monotonic() + self._options.countdown
         self._pictures = [[] for _ in self._views]
 
     def _learn(self, shots: Sequence[CameraImage | None]) -> None:
-        assert self._room_from is not None
-        passed = time.monotonic() - self._room_from
+        assert self._learn_from is not None
+        passed = time.monotonic() - self._learn_from
         if passed < 0:
             return
         for view, (kept, shot) in enumerate(zip(self._pictures, shots, strict=True)):
-            if shot is not None and len(kept) <= min(passed / SETTINGS.eyes_room_s, 1.0) * SETTINGS.eyes_room_pictures:
+            if (
+                shot is not None
+                and len(kept) <= min(passed / SETTINGS.capture_empty_s, 1.0) * SETTINGS.capture_empty_pictures
+            ):
                 image = self._picture(view, shot)
                 if image is not None:
                     kept.append(image)
-        if passed < SETTINGS.eyes_room_s or any(len(k) < 3 for k in self._pictures):
+        if passed < SETTINGS.capture_empty_s or any(len(k) < 3 for k in self._pictures):
             return
         moved = []
-        for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
-            room.learn(images)
-            if room.moved:
+        for view, background, images in zip(self._views, self._backgrounds, self._pictures, strict=True):
+            background.learn(images)
+            if background.moved:
                 moved.append(
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
                 )
         depth = zip(self._views, self._pictures, strict=True)
         self._empty = tuple(images if view.depth else [] for view, images in depth) if any_depth(self._views) else ()
-        self._moved, self._room_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
+        self._moved, self._learn_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
 
     def _words(self) -> tuple[str, ...]:
         out = [*self._moved, *filter(None, self._wrong)]
-        if self._room_from is not None:
-            left = self._room_from - time.monotonic()
+        if self._learn_from is not None:
+            left = self._learn_from - time.monotonic()
             out.append(f"Leave the cameras' view: {left:.0f} s." if left > 0 else "Learning the empty room.")
         return tuple(out)
 
@@ -357,7 +353,7 @@ def stored(image: NDArray[Any]) -> bytes | None:
     if image.ndim == 2:
         ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
     else:
-        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, SETTINGS.eyes_quality])
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, SETTINGS.capture_quality])
     return data.tobytes() if ok else None
 
 
@@ -381,21 +377,22 @@ class CaptureProcess:
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
     ) -> None:
         self._stop, self._closing_s = stop or threading.Event(), 0.0
-        self._process, self._pipe = start_process(_see, rig, tuple(views), options)
+        self._process, self._pipe = start_process(_run, rig, tuple(views), options)
         opened = self._received(math.inf)  # opening a camera has a time limit of its own
         if isinstance(opened, HyposeError):
             self._process.join(5)
             raise opened
         if opened is not None:
-            self._closing_s = SETTINGS.eyes_closing_s
+            self._closing_s = SETTINGS.capture_closing_s
 
-    def ask(self, question: CaptureRequest) -> None:
+    def ask(self, request: CaptureRequest) -> None:
         """Send a request."""
         with contextlib.suppress(OSError):  # `answer` reports it
-            self._pipe.send(question)
+            self._pipe.send(request)
 
     def answer(self) -> CaptureResult | None:
-        """Receive the result of the last request; None: all files are over, or `stop` is set."""
+        """Receive the result of the last request; None where all files have been read to their end, or `stop` is
+        set."""
         found = self._received(10.0)
         if isinstance(found, HyposeError):
             raise found
@@ -413,22 +410,22 @@ class CaptureProcess:
         waited = 0.0
         try:
             while waited < wait:  # counted, not by the clock: a process that was stopped and goes on has not waited
-                if self._pipe.poll(SETTINGS.eyes_look_s):
+                if self._pipe.poll(SETTINGS.capture_look_s):
                     return self._pipe.recv()
                 if self._stop.is_set():
                     return None
-                waited += SETTINGS.eyes_look_s
+                waited += SETTINGS.capture_look_s
             what = f"has not answered for {wait:.0f} s"
         except (EOFError, OSError):
             what = "has ended"
         raise InputError(f"The process that looks at the cameras {what}; start again.")
 
 
-def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
+def _run(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
     warm_up("outlines", "pictures")  # compile now, so that the first pictures are not late
     try:
-        eyes = Capture(rig, views, options)
+        capture = Capture(rig, views, options)
     except HyposeError as error:
         with contextlib.suppress(OSError):  # the asking process is gone
             pipe.send(error)
@@ -437,11 +434,11 @@ def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options:
         with punctual():
             pipe.send("open")
             while True:
-                sight = eyes.look(pipe.recv())
-                over = eyes.ended and not np.isfinite(sight.time)
-                pipe.send(None if over else sight)
-                eyes.keep_up()
+                captured = capture.look(pipe.recv())
+                over = capture.ended and not np.isfinite(captured.time)
+                pipe.send(None if over else captured)
+                capture.keep_up()
     except (EOFError, OSError):  # likewise
         pass
     finally:
-        eyes.close()
+        capture.close()

@@ -33,8 +33,15 @@ from hypose.pipeline.live.capture import (
     live_working_rig,
 )
 from hypose.pipeline.live.feeds import FeedStatus
-from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING, LivePeople, LivePose
-from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, LivePersonOptions
+from hypose.pipeline.live.live_people import (
+    STATE_EMPTY,
+    STATE_LOST,
+    STATE_SEARCHING,
+    STATE_TRACKING,
+    LivePeople,
+    LivePersonOptions,
+    LivePose,
+)
 from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.settings import SETTINGS
 
@@ -46,14 +53,14 @@ EMPTY_ROOM = "empty room"
 class LiveTrackingOptions:
     """Options of live tracking.
 
-    eyes: options of capture.
+    capture: options of capture.
     person: see `LivePersonOptions`.
     people: most people that are tracked.
     measure: fit bodies and find the cameras' offsets in the background.
     pictures: listeners want the pictures.
     """
 
-    eyes: CaptureOptions = field(default_factory=CaptureOptions)
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
     people: int = 1
     measure: bool = True
@@ -64,7 +71,7 @@ class LiveTrackingOptions:
 class LiveStatus:
     """State of a live run.
 
-    phase: see `LiveEngine.phase`.
+    phase: EMPTY_ROOM while the background is learned, else the phase of searching or tracking people.
     words: sentences on the cause of a problem or the next step.
     cameras: status of each camera.
     poses: number of instants with poses so far.
@@ -73,8 +80,7 @@ class LiveStatus:
     latency: p50 and p99 of the time from the last picture's arrival to the pose, ms.
     stages: median times of masks (with decoding), tracking, reporting and judging, ms.
     offsets: delays of the cameras, s.
-    fitted: every tracked person has a body of their own.
-    """
+    fitted: every tracked person has a body of their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -92,12 +98,12 @@ class LiveStatus:
 class LiveResult:
     """Result of one instant.
 
-    sight: what the cameras showed.
+    captured: what the cameras showed.
     frame: the frame that was tracked.
     poses: one per tracked person.
     """
 
-    sight: CaptureResult
+    captured: CaptureResult
     frame: Frame
     poses: tuple[LivePose, ...]
 
@@ -117,11 +123,10 @@ class Listener(Protocol):
 class LiveEngine:
     """Live tracking. After `start` it runs until `stop`, the end of all files (`ended`) or an error (`failed`).
 
-    rig, views: cameras in one order.
+    rig, views: calibrated cameras, and how each is opened, in the same order.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
-    Raises: InputError where the number of cameras does not suit.
-    """
+    Raises: InputError where the number of cameras does not suit."""
 
     def __init__(
         self,
@@ -139,13 +144,13 @@ class LiveEngine:
             raise InputError("Depth cameras follow one person; leave --people out.")
         self.options, self.views, self.rig = options or LiveTrackingOptions(), tuple(views), rig
         if self.options.people > 1:
-            eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_all_people)
-            self.options = replace(self.options, eyes=eyes)
+            capture = replace(self.options.capture, silhouettes=self.options.capture.silhouettes.of_all_people)
+            self.options = replace(self.options, capture=capture)
         self.small = live_working_rig(rig, views)
         self.listeners = list(listeners)
         self.ended = threading.Event()
         self.failed: BaseException | None = None
-        self._eyes: CaptureProcess | None = None
+        self._capture: CaptureProcess | None = None
         self._executor = ThreadPoolExecutor(
             min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
         )
@@ -158,7 +163,7 @@ class LiveEngine:
         self._given: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._stages: dict[str, deque[float]] = {k: deque(maxlen=120) for k in ("masks", "track", "tell", "judge")}
         self._reported = -np.inf
-        self._sight: CaptureResult | None = None
+        self._captured: CaptureResult | None = None
         self._learn, self._learning = False, False
         self._poses_now: tuple[LivePose, ...] = ()
         self._offsets: tuple[float, ...] | None = None
@@ -169,7 +174,7 @@ class LiveEngine:
 
     def _new_people(self) -> LivePeople:
         s = self.options
-        return LivePeople(self.small, s.eyes.rate, s.person, self._executor, self._work, s.people)
+        return LivePeople(self.small, s.capture.rate, s.person, self._executor, self._work, s.people)
 
     def start(self) -> None:
         """Open the cameras and begin.
@@ -179,27 +184,27 @@ class LiveEngine:
         parts = (*TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         warm_up(*parts, load=False)  # the other process finds the compiled kernels
         warm = self._executor.submit(warm_up, *parts)
-        self._eyes = CaptureProcess(self.rig, self.views, self.options.eyes, self._stop)
+        self._capture = CaptureProcess(self.rig, self.views, self.options.capture, self._stop)
         if self._stop.is_set():
-            self._eyes.close()
+            self._capture.close()
             return
         warm.result()
         self._until_stop.enter_context(punctual())
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is reported afterwards."""
+        """End the run; listeners receive nothing afterwards."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
         self._until_stop.close()
-        if self._eyes is not None:
-            self._eyes.close()
+        if self._capture is not None:
+            self._capture.close()
         self._executor.shutdown(wait=False, cancel_futures=True)
         if self._work is not None:
             self._work.close()
 
-    def learn_room(self) -> None:
+    def learn_background(self) -> None:
         """Learn the empty room again, after the countdown."""
         self._learn = True
 
@@ -209,26 +214,26 @@ class LiveEngine:
         return EMPTY_ROOM if self._learning else self._people.phase
 
     def _run(self) -> None:
-        eyes = self._eyes
-        assert eyes is not None
+        capture = self._capture
+        assert capture is not None
         try:
-            eyes.ask(self._question())
-            while not self._stop.is_set() and (sight := eyes.answer()) is not None:
+            capture.ask(self._request())
+            while not self._stop.is_set() and (captured := capture.answer()) is not None:
                 if (
-                    self._learning and not sight.room
-                ):  # the room is known now; people tracked before have to be found again
+                    self._learning and not captured.learning
+                ):  # the background is known now; people tracked before have to be found again
                     self._people, self._poses_now = self._new_people(), ()
-                self._sight, self._learning = sight, sight.room
-                eyes.ask(self._question())
-                if np.isfinite(sight.time):
-                    self._one(sight)
-                self._tell()
+                self._captured, self._learning = captured, captured.learning
+                capture.ask(self._request())
+                if np.isfinite(captured.time):
+                    self._one(captured)
+                self._report()
         except BaseException as error:  # passed on to the caller
             self.failed = error
         finally:
             self.ended.set()
 
-    def _question(self) -> CaptureRequest:
+    def _request(self) -> CaptureRequest:
         phase = self._people.phase
         bodies = tuple(
             (p.body.skin(p.motion.poses[0]), p.body.coarse.faces)
@@ -237,32 +242,32 @@ class LiveEngine:
         )
         # leave the processor to a search: make no more instants than it uses
         pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
-        room, self._learn = self._learn, False
+        learn, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
         return CaptureRequest(
-            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, room, offsets
+            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, learn, offsets
         )
 
-    def _one(self, sight: CaptureResult) -> None:
-        frame = self._frame(sight)
+    def _one(self, captured: CaptureResult) -> None:
+        frame = self._frame(captured)
         begin = time.perf_counter()
         people = self._people.step(frame)
         tracked = time.perf_counter()
         self._poses_now = tuple(p.pose() for p in people)
-        seen = LiveResult(sight, frame, self._poses_now)
+        seen = LiveResult(captured, frame, self._poses_now)
         for listener in self.listeners:
             listener.seen(seen)
         if people:
             now, reported = time.monotonic(), time.perf_counter()
-            self._since = self._since or (sight.instants, self._frames)
+            self._since = self._since or (captured.instants, self._frames)
             self._poses += 1
-            self._latency.append(now - sight.arrival)
+            self._latency.append(now - captured.arrival)
             self._given.append(now)
             for p in people:
                 p.judge()
             looked = time.perf_counter()
             spent = {
-                "masks": sight.made,
+                "masks": captured.made,
                 "track": tracked - begin,
                 "tell": reported - tracked,
                 "judge": looked - reported,
@@ -271,11 +276,11 @@ class LiveEngine:
                 self._stages[name].append(seconds)
         self._take_offsets()
 
-    def _frame(self, sight: CaptureResult) -> Frame:
+    def _frame(self, captured: CaptureResult) -> Frame:
         shapes = [c.size for c in self.small]
         masks = [
             None if v is None else np.unpackbits(v[0], axis=1, count=w)
-            for v, (w, _) in zip(sight.views, shapes, strict=True)
+            for v, (w, _) in zip(captured.views, shapes, strict=True)
         ]
         areas = np.array([0 if m is None else int(np.count_nonzero(m)) for m in masks])
         history = np.stack(self._areas, 1) if self._areas else np.zeros((len(masks), 0), np.int64)
@@ -287,10 +292,10 @@ class LiveEngine:
         why = flag_collapsed(areas, history, self.small.names, self._frames)
         reasons = ["no picture" if m is None else w for m, w in zip(masks, why, strict=True)]
         silhouettes = make_silhouettes(masks, self.small, reasons)
-        outlines = [None if v is None else v[1] for v in sight.views]
+        outlines = [None if v is None else v[1] for v in captured.views]
         make_ahead(silhouettes, lambda: outlines)
-        depth = depth_of(silhouettes, sight.depths) if any_depth(self.views) else None
-        frame = Frame(sight.time, self._frames, silhouettes, depth=depth)
+        depth = depth_of(silhouettes, captured.depths) if any_depth(self.views) else None
+        frame = Frame(captured.time, self._frames, silhouettes, depth=depth)
         self._frames += 1
         return frame
 
@@ -305,7 +310,7 @@ class LiveEngine:
 
     # ---- state of the run --------------------------------------------------------------------------------------------
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         now = time.monotonic()
         if now - self._reported >= 1.0:
             self._reported = now
@@ -314,17 +319,17 @@ class LiveEngine:
                 listener.status(status)
 
     def status(self) -> LiveStatus:
-        """Return the state of the run, see `LiveStatus`."""
-        sight, now = self._sight, time.monotonic()
-        cameras = () if sight is None else sight.cameras
+        """Return the state of the run: phase, cameras, rate, latency."""
+        captured, now = self._captured, time.monotonic()
+        cameras = () if captured is None else captured.cameras
         given = np.array(self._given)  # a copy, since the engine's thread continues
         latency = np.array(self._latency or [np.nan]) * 1e3
         skipped = 0.0
-        if self._since is not None and sight is not None and sight.instants > self._since[0]:
-            skipped = max(0.0, 1 - (self._frames - self._since[1]) / (sight.instants - self._since[0]))
+        if self._since is not None and captured is not None and captured.instants > self._since[0]:
+            skipped = max(0.0, 1 - (self._frames - self._since[1]) / (captured.instants - self._since[0]))
         return LiveStatus(
             self.phase,
-            (*_words(cameras, least_cameras(self.views)), *(() if sight is None else sight.words)),
+            (*_words(cameras, least_cameras(self.views)), *(() if captured is None else captured.words)),
             cameras,
             self._poses,
             float((now - given < 2.0).sum()) / 2.0,

@@ -1,14 +1,19 @@
-"""Track one or more people live: find each one, track it (`LiveTrack`) in what the others leave of the masks, give it
-up and find it again.
+"""Track one or more people live: find each one in any pose (`LiveSearch`), track it (`LiveTrack`) in what the others
+leave of the masks, give it up and find it again (`LivePeople`).
 
-`step` never waits. Left and right are compared in parallel with tracking. Bodies and camera offsets are estimated in a
-process of its own from the masks; a fitted body is used where it explains the masks as well as the one before.
+`LivePeople.step` never waits. A search takes a second or two in another thread, while new masks are kept; then the kept
+frames are tracked faster than they came, until the present is reached. Left and right are compared in parallel with
+tracking. Bodies and camera offsets are estimated in a process of its own from the masks; a fitted body is used where it
+explains the masks as well as the one before.
 """
 
 from __future__ import annotations
 
 import queue
+import threading
+import time
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 
@@ -16,22 +21,223 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
+from hypose.inference.hypotheses import BEFORE
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
-from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
+from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_management import doubles
+from hypose.pipeline.track_loop import tracker_of
+from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles
+from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, Member, shape_of, step_together
+from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
+
+STATE_EMPTY, STATE_SEARCHING, STATE_TRACKING, STATE_LOST = "no_person", "looking", "following", "lost"
+"""Values of `LivePeople.phase`; `LiveSearch.phase` has the first two."""
+
+
+@dataclass(frozen=True)
+class LivePersonOptions:
+    """Options of tracking a person live.
+
+    track: recipe and seed.
+    height: m, where known.
+    body: the person's own body, where known; then none is fitted.
+    """
+
+    track: TrackOptions = TrackOptions()
+    height: float | None = None
+    body: Body | None = None
+
+    def tracker(self, body: Body, rate: float) -> Tracker:
+        """Build the tracker of a body for frames of a rate, Hz."""
+        return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
+
+
+@dataclass(frozen=True)
+class FoundPerson:
+    """Person who was found and tracked to the present.
+
+    body: body of the track.
+    state: state of the tracker.
+    time: of the state, s.
+    step_s: time of the last step, s.
+    """
+
+    body: Body
+    state: TrackerState
+    time: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One frame of a search, and the people who are tracked in it already."""
+
+    frame: Frame
+    others: Sequence[Other]
+
+
+class LiveSearch:
+    """Search for people in live masks. Call `look` with every frame that may show a person who is not tracked yet; it
+    never waits.
+
+    executor: runs the search.
+    several: there may be more than one person, so each is searched in the mask that the others leave.
+    """
+
+    def __init__(self, options: LivePersonOptions, executor: Executor, several: bool) -> None:
+        self.options, self.several = options, several
+        self.phase = STATE_EMPTY
+        self._executor = executor
+        self._first: list[_Look] = []
+        self._waiting: deque[_Look] = deque()
+        self._lock = threading.Lock()
+        self._search: Future[None] | None = None
+        self._found: list[FoundPerson] = []
+        self._failed, self._not_before = 0, -np.inf
+
+    def take(self) -> list[FoundPerson]:
+        """Return the people who were found since the last call."""
+        with self._lock:
+            found, self._found = self._found, []
+            if found:
+                self._search, self._first, self.phase = None, [], STATE_EMPTY
+                self._failed, self._not_before = 0, -np.inf
+        return found
+
+    def look(self, frame: Frame, others: Sequence[Other], most: int, body: Body | None, height: float | None) -> None:
+        """Keep a frame for the search, and start the search when there are enough.
+
+        others: people who are tracked already.
+        most: most people to search.
+        body, height: of the new person, where known; height in m.
+        """
+        with self._lock:
+            if not self._found:
+                self._look(_Look(frame, others), most, body, height)
+
+    def _look(self, look: _Look, most: int, body: Body | None, height: float | None) -> None:
+        frame = look.frame
+        if self._search is not None and self._search.done():
+            failed = self._search.exception()
+            if failed is not None and not isinstance(failed, EvidenceError):
+                raise failed
+            self._search, self._first = None, []
+            self._waiting.clear()
+            if look.others:  # search less often: the tracked people need the processor
+                self._failed += 1
+                self._not_before = frame.time + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
+        if frame.time < self._not_before:
+            return
+        kept = self._waiting if self._search is not None else self._first
+        if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
+            return
+        if not _largest_person(look):
+            if self._search is None:
+                self.phase, self._first = STATE_EMPTY, []
+            return
+        if self._search is not None:
+            if len(self._waiting) < SETTINGS.search_longest:
+                self._waiting.append(look)
+            return
+        if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
+            self._first = []
+        self._first.append(look)
+        self.phase = STATE_SEARCHING
+        if len(self._first) == SETTINGS.search_decide:
+            self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
+
+    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
+        """Find starts in the first frames and track them through the frames since then; runs in another thread."""
+        options, zero = self.options, np.zeros(template.skeleton.dof)
+        members = list[Member]()
+        for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
+            prepared = [prepare(f, template, zero) for f in frames]
+            best = weigh_starts(starts_in_frame(template, prepared[0], height), prepared[1:]).best
+            if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
+                slow = options.tracker(best.body, SETTINGS.search_slowly_hz)
+                members.append(Member(slow, slow.start(best.pose)))
+        if not members:
+            raise EvidenceError("No body explains the masks.")
+
+        def step(members: Sequence[Member], look: _Look) -> list[Member]:
+            return step_together(members, look.frame, others=look.others, alone=not self.several)[0]
+
+        last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
+        for look in looks:
+            members, last = step(members, look), look.frame.time
+        while True:
+            with self._lock:
+                # skip frames where a step takes longer than the time between them, else the present is never reached
+                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(
+                    1.5 * spent, SETTINGS.search_gap_s
+                ):
+                    self._waiting.popleft()
+                if not self._waiting:
+                    self._found = [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
+                    return
+                look = self._waiting.popleft()
+            begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
+            share = 0.0 if step_s > SETTINGS.search_gap_s else step_s / before_s
+            members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
+            members = step(members, look)
+            last, spent = look.frame.time, time.monotonic() - begin
+
+
+def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
+    """Scale the velocities of a state for a frame that comes after `share` times the time of the step before. Why:
+    velocities are per frame.
+    """
+    if abs(share - 1) < 0.02:
+        return state
+    share, h = min(share, 4.0), state.hypotheses
+    if BEFORE in h.columns:
+        step = h.values - skeleton.on_branch(h.columns[BEFORE], h.values)
+        h = replace(h, columns={**h.columns, BEFORE: h.values - share * step})
+    step = state.pose - skeleton.on_branch(state.previous, state.pose)
+    return replace(state, previous=state.pose - share * step, hypotheses=h)
+
+
+def _largest_person(look: _Look) -> bool:
+    """Return whether enough views show something of the size of a person in addition to the known people."""
+    for s in look.frame.of(Silhouettes):
+        if look.others:
+            return birth_candidates(look.others, s)
+        large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
+        return int((large & s.usable).sum()) >= look.frame.fewest_views
+    return False
+
+
+def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
+    """Make the evidence of each new person in the hull of the first frame; those who are not in most of the frames are
+    left out.
+    """
+    paths = follow_places(
+        lambda t: looks[t].frame, range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t].others
+    )
+    out = list[list[Frame]]()
+    for path in [p for p in paths if 0 in p.found and len(p.found) > len(looks) // 2][:most]:
+        at = [(looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
+        out.append([candidate_evidence(one, look.frame, look.others, all_) for look, one, all_ in at])
+    return out
+
+
+# ---- tracking ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -44,8 +250,7 @@ class LivePose:
     motion: motion of this frame alone, with pose, covariance, error probability and low-confidence joints.
     body: body of the pose.
     joints: (J, 3) m, world; after a change of the body they move to the new place smoothly.
-    views: (C,) True for the cameras that were used.
-    """
+    views: (C,) True for the cameras whose evidence was used."""
 
     person: int
     frame: int
@@ -89,7 +294,8 @@ class _Now:
 
 
 class LiveTrack:
-    """Live track of one person. In each frame the tracker continues from `state_at`, and `take` receives the result.
+    """Live track of one person. For each frame call `prepare`, track from the state `state_at`, and call `take` with
+    the result; then `pose` gives the pose, and `judge` updates its error probabilities.
 
     found: body and state that the search found.
     number: see `LivePose`.
@@ -142,10 +348,6 @@ class LiveTrack:
         """Whether the person's place is known."""
         return not self.state.lost and self.state.blind <= BLIND
 
-    def expected(self, time: float) -> Array:
-        """Predict the pose (D,) at a time, s."""
-        return self.tracker.predicted(self.state_at(time))
-
     def state_at(self, time: float) -> TrackerState:
         """Return the tracker's state with its velocities scaled for a frame at a time, s."""
         passed = time - self._time
@@ -153,11 +355,13 @@ class LiveTrack:
         return paced(self.state, share, self.tracker.body.skeleton)
 
     def take(self, whole: Frame, frame: Frame, state: TrackerState, estimate: FrameEstimate) -> None:
-        """Receive the result of a frame.
+        """Receive the result of tracking a frame, and begin or continue parallel work: comparing sides, fitting body
+        and camera offsets.
 
         whole: frame with all people.
         frame: frame with the evidence of this person.
         state: of the tracker after it.
+        estimate: of the pose in it.
         """
         passed = frame.time - self._time
         self._now, self.state = _Now(whole, frame, self.tracker, estimate), state
@@ -178,9 +382,8 @@ class LiveTrack:
 
     @property
     def recent(self) -> list[FrameEstimate]:
-        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has not been tracked for so
-        long.
-        """
+        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
+        shorter time."""
         long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
         return [e for _, e in self._recent] if long else []
 
@@ -377,21 +580,17 @@ class LiveErrorModel:
             self._p, self._doubtful = p[-1:], joints[-1:]
 
 
-STATE_TRACKING, STATE_LOST = "following", "lost"
-"""Values of `LivePeople.phase` in addition to those of a search."""
-
-
 class LivePeople:
     """Live tracking of all people; call `step` with every frame. It never waits.
 
     rig: cameras of the masks.
-    rate: of the frames, Hz.
-    options: height and body are those of the first person.
-    executor: runs searches and duels.
+    rate: rate of the frames, Hz.
+    options: options of tracking; height and body in it are those of the first person.
+    executor: runs searches for people, and duels, in which a pose is compared with the body whose sides are
+        exchanged.
     work: fits bodies and offsets; None: neither is done.
     most: most people at once; with one, all of the masks are evidence for that person.
-    offsets: (C,) delays of the cameras, s; None: not known yet.
-    """
+    offsets: (C,) delays of the cameras, s; None: not known yet."""
 
     def __init__(
         self,
@@ -411,7 +610,8 @@ class LivePeople:
 
     @property
     def phase(self) -> str:
-        """Phase: that of the tracked people, else of the search."""
+        """Phase of the run, a word: the phase of the tracked people, or the phase of the search where no person is
+        tracked."""
         if not self.people:
             return self._search.phase
         return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING

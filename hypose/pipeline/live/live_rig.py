@@ -29,7 +29,7 @@ class LiveRig:
     silhouettes: how masks are made.
     height: of the person, m, where known.
     notes: for the user.
-    roomless: a recording is played that has no picture of the empty room, so the background is guessed from its videos.
+    no_background: a recording is played without a picture of the empty room; the background is guessed from its videos.
     """
 
     rig: CameraRig
@@ -38,7 +38,7 @@ class LiveRig:
     silhouettes: SilhouetteSettings = SilhouetteSettings()
     height: float | None = None
     notes: tuple[str, ...] = ()
-    roomless: bool = False
+    no_background: bool = False
 
 
 def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None, loop: bool = False) -> LiveRig:
@@ -125,14 +125,18 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled, loop_s=loop_s)
         if v.depth is None
         else LiveView(
-            v.name, f"{DEPTH_PREFIX}{v.depth}", v.image_shift, depth=True, depth_room=DepthSource(v, camera, own).room
+            v.name,
+            f"{DEPTH_PREFIX}{v.depth}",
+            v.image_shift,
+            depth=True,
+            depth_background=DepthSource(v, camera, own).room,
         )
         for v, b, camera, own in zip(recording.views, build_backgrounds(shown), rig, small, strict=True)
     )
     notes = tuple(f"View {v.name}: {v.background.note}" for v in views if v.background and v.background.note)
-    roomless = not any(v.background or v.depth for v in recording.views)
+    no_background = not any(v.background or v.depth for v in recording.views)
     rate = rate or recording.frame_rate
-    return LiveRig(rig, views, rate, recording.silhouettes, recording.subject_height, notes, roomless)
+    return LiveRig(rig, views, rate, recording.silhouettes, recording.subject_height, notes, no_background)
 
 
 def _recording(path: Path) -> Recording | None:

@@ -19,7 +19,8 @@ from hypose.pipeline.settings import SETTINGS
 
 @contextlib.contextmanager
 def punctual() -> Iterator[None]:
-    """Switch threads often and keep loaded objects out of garbage collection, inside the context."""
+    """Inside the context, switch between Python threads more often, and keep loaded objects out of garbage
+    collection, so that live results are not delayed."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SETTINGS.processes_switch_s)
     gc.collect()
@@ -61,7 +62,7 @@ def start_process(target: Callable[..., None], *arguments: Any) -> tuple[BasePro
 
 
 def belong_to_parent() -> None:
-    """Ignore Ctrl-C in a started process, and end it when its parent ends, in whatever way."""
+    """Make the current (started) process ignore Ctrl-C, and end when its parent process ends for any reason."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

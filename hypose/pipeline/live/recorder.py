@@ -34,7 +34,7 @@ class LiveRecorder:
     """Listener of the live engine that writes a recording; the engine must deliver pictures. `close` ends it.
 
     folder: new or empty; it stays empty until there is something to record.
-    height: of the person, m, where known.
+    height: height of the person, m, where known.
     failed: why recording ended early; "" while it continues.
     Raises: InputError where the folder holds something or cannot be made.
     """
@@ -159,7 +159,7 @@ class LiveRecorder:
         ]
         return open(self.folder / _POSES, "x", encoding="utf-8", newline="\n")
 
-    def _write_room(self, empty: Sequence[Sequence[bytes]]) -> None:
+    def _write_empty(self, empty: Sequence[Sequence[bytes]]) -> None:
         """Write the maps from which the empty room was learned, in place of earlier ones."""
         for c, maps in enumerate(empty):
             if maps:
@@ -171,8 +171,8 @@ class LiveRecorder:
 
     def _write(self, seen: LiveResult, poses: TextIO) -> None:
         number = self.written
-        self._write_room(seen.sight.empty)
-        for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):
+        self._write_empty(seen.captured.empty)
+        for c, (view, jpeg) in enumerate(zip(seen.captured.views, seen.captured.jpegs, strict=True)):
             if self._views[c].depth:
                 self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size, True)
                 (self._pictures[c] / f"{number:06d}.png").write_bytes(self._last[c] or b"")

@@ -73,18 +73,19 @@ def initialise(
 ) -> InitialFit:
     """Estimate the first hypotheses and the body proportions from the points and the picture of one frame.
 
-    points_on: the seen points, placed on a given body.
+    points_on: function of a body that returns the term of the points seen in the picture, placed on this body.
     frame: the frame with the picture.
-    later: points of further pictures of the same camera; the lengths are fitted to all pictures.
-    height: body height, m; None: unknown, then the distance to the camera stays as uncertain as people's heights are.
+    later: such functions for further pictures of the same camera; the lengths are fitted to all pictures.
+    height: body height, m; None: unknown, then the distance to the camera stays as uncertain as people's heights
+        are.
     fixed_body: the template is the person's own body; only poses are estimated.
     active: (A,) dof to estimate (default: the 30 of `body_dofs`).
     rivals: largest number of hypotheses.
     floor: height in the world of the floor that the person stands on, m; None: unknown.
     Raises: EvidenceError where fewer than 6 points are seen.
-    Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the proportions
-        are searched one after the other, because the contour's cost has jumps.
-    """
+    Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the
+        proportions
+        are searched one after the other, because the contour's cost has jumps."""
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = seen_points(points_on(template))

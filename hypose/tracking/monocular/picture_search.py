@@ -140,10 +140,9 @@ class PictureSearch:
         return pooled(h, self._candidates(MIRRORED, place.fixed, found, np.zeros_like(poses), poses, history))
 
     def sampled(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Add samples along the uncertain directions of every candidate to the candidates.
+        """Add to the candidates samples along the directions in which the cost of each candidate is flattest.
 
-        Each sample keeps the prediction and the accumulated evidence of the candidate from which it was drawn.
-        """
+        Each sample keeps the prediction and the accumulated evidence of the candidate from which it was drawn."""
         if self.settings.search.hypotheses == 1:
             return pooled(h)
         evidence: PictureEvidence = frame.shared["evidence"]
@@ -201,15 +200,14 @@ class PictureSearch:
     ) -> Hypotheses:
         """Optimise poses on one still picture (edges, silhouette, points; no flow, no prediction).
 
-        frame: with the picture.
-        points: seen in it; None: none.
+        frame: frame with the picture.
+        points: key points seen in the picture; None: there are none.
 
         Used for initialisation and for mirrored poses.
         poses: (N, D) start poses.
-        iterations: of the Newton search.
+        iterations: number of iterations of the Newton search.
         Returns: hypotheses, best first, each with its covariance and its column `cost`; the costs can be compared.
-        Raises: InputError where a pose has the wrong number of values or is not finite.
-        """
+        Raises: InputError where a pose has the wrong number of values or is not finite."""
         picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
@@ -266,8 +264,8 @@ class PictureSearch:
     ) -> list[MonoSolution]:
         """Optimise every start (N, D) in several threads.
 
-        place: of the camera.
-        evidence: of the frame.
+        place: place of the camera.
+        evidence: evidence of the frame.
         starts, before: (N, D) start poses, and poses in the previous picture.
         coarse, iterations: as in `newton_descent`.
         predict: add to each a pull to its own start as the prediction.

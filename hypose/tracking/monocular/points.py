@@ -71,7 +71,10 @@ def seen_points(points: KeypointTerm) -> int:
 
 
 def held_dofs(dof: int, active: NDArray[np.int64]) -> Array:
-    """Compute the weights (D,) of a prior that fixes all dof but the active ones (A,) at its centre."""
+    """Compute the weights (D,) of a quadratic prior that holds all dof at its centre, except the active ones.
+
+    dof: number D of dof.
+    active: (A,) indices of the dof that stay free."""
     held = np.full(dof, HELD)
     held[active] = 0.0
     return held
@@ -92,12 +95,11 @@ def fit_proportions(
     pictures: M functions that place the points of a picture on a body.
     poses: M start poses (D,).
     factors: (K,) start values of the proportions, logarithms; only those that move joints change.
-    prior: of the proportions.
+    prior: prior of the proportions.
     active: (A,) dof of every pose that may change.
-    floor: on which the person stands in every picture. Why: without it one view cannot tell long legs that point away
-        from shorter ones that do not.
-    Returns: poses (M, D), factors (K,), cost.
-    """
+    floor: floor on which the person stands in every picture; None: unknown. Why: without it one view cannot tell
+        long legs that point away from shorter ones that do not.
+    Returns: poses (M, D); factors (K,), logarithms; cost of the fit."""
     start, held = np.array(poses, dtype=np.float64), held_dofs(template.skeleton.dof, active)
     problem = _PointsProblem(template, pictures, factors, prior, [Quadratic(start, held)], floor)
     found = problem.solve((factors[INTERNAL], start), 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))

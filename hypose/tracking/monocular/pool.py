@@ -43,7 +43,7 @@ def candidates(role: str, poses: Array, **columns: NDArray[Any]) -> Hypotheses:
 
 
 def pooled(*sets: Hypotheses) -> Hypotheses:
-    """Join sets of candidates into one, with log-weights 0."""
+    """Join several sets of candidates into one set, and set all log-weights to 0."""
     return Hypotheses(
         np.concatenate([h.values for h in sets]),
         np.zeros(sum(h.count for h in sets)),
@@ -54,10 +54,10 @@ def pooled(*sets: Hypotheses) -> Hypotheses:
 
 
 def accumulated(h: Hypotheses, frame: PreparedFrame, /) -> Array:
-    """Compute the log-likelihoods (N,) of candidates: minus their accumulated evidence.
+    """Compute the log-likelihoods (N,) of candidates: minus the cost accumulated over the frames so far.
 
-    Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a memory.
-    """
+    Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a
+        memory."""
     return -h.columns["evidence"]
 
 
@@ -73,7 +73,7 @@ def uncertain_samples(
 ) -> Array:
     """Draw poses along the most uncertain free directions of an optimised candidate, on both sides of it.
 
-    settings: of the search.
+    settings: settings of the search.
     pose: (D,) the candidate's pose.
     hessian: (A, A) of its evidence.
     free: (A,) true where no joint limit holds the dof.
@@ -112,7 +112,7 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 
     pool: all candidates of the frame.
     body: by whose joints and landmarks poses are compared.
-    settings: of the search.
+    settings: settings of the search.
 
     The best optimised candidate is always kept and comes first; the others are ranked by their accumulated evidence.
     Deviations: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for

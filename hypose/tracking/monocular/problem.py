@@ -116,7 +116,7 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSet
 
     field: (h, w, 2) edges of a picture, from `edge_field`.
     flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     edge = settings.edge
     if flow is not None:
@@ -142,8 +142,7 @@ class Spheres(NamedTuple):
     offset: (S, 3) m, centre in the joint's frame.
     pairs: (P, 2) spheres of parts that can meet.
     apart: (P,) m, distance of their centres below which the prior acts.
-    weight: 1 / m^2.
-    """
+    weight: weight of the prior, 1 / m^2."""
 
     joint: NDArray[np.int64]
     offset: Array
@@ -153,10 +152,10 @@ class Spheres(NamedTuple):
 
 
 def sphere_rows(at: Posed, spheres: Spheres) -> Rows:
-    """Compute the rows of interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near.
+    """Compute the residuals with derivatives (rows) of the prior against interpenetration: 1/2 weight (apart -
+    distance)^2 for pairs of spheres that are too near.
 
-    at: the posed body.
-    """
+    at: the posed body."""
     centre = at.body.skeleton.points(spheres.joint, spheres.offset, at.pose)
     away = centre[spheres.pairs[:, 0]] - centre[spheres.pairs[:, 1]]
     distance = np.linalg.norm(away, axis=1)
@@ -189,12 +188,12 @@ def floor_of(body: Body, height: float | None, settings: MonoSettings) -> Floor 
 
 
 def floor_rows(at: Posed, floor: Floor) -> Rows:
-    """Compute the rows of the floor: the lowest point of the soles stands on it, and no point lies under it.
+    """Compute the residuals with derivatives (rows) of the floor: the lowest point of the soles stands on it, and no
+    point lies under it.
 
     at: the posed body.
-    Returns: one row per point of the soles, with weight 0 for those that are free.
-    The loss is that of a key point, so that a jump costs little more than a step.
-    """
+    Returns: one row per point of the soles, with weight 0 for points that nothing holds. The loss is that of a key
+        point, so that a jump costs little more than a step."""
     point = at.body.skeleton.points(floor.soles.joint, floor.soles.offset, at.pose)
     above, n = point[:, 2] - floor.height, len(point)
     on = (above < 0) | (np.arange(n) == above.argmin())
@@ -211,7 +210,7 @@ def part_spheres(body: Body, weight: float) -> Spheres:
     Limb spheres lie on the bones and have the median distance of the skin as radius. Trunk spheres lie side by side and
     have half the trunk's depth as radius. Pairs: arms with trunk, with thighs and with each other; one leg with the
     other. The distance that two parts keep is at most 0.95 of that at rest.
-    weight: of the prior.
+    weight: weight of the prior.
     """
     parts: list[tuple[str, int, Array, float]] = []
     for j, name in enumerate(body.skeleton.joint_names):
@@ -275,16 +274,15 @@ def prediction_spread(sigma: Array, settings: MonoSettings) -> Array:
 class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
-    body: the person.
+    body: body of the person.
     model: the body before the camera.
     active: (A,) dof that are estimated.
-    moves: (V + J, A) share of their motion at each vertex of the coarse mesh, and at each joint.
+    moves: (V + J, A) share of each active dof's motion that each vertex of the coarse mesh, and each joint, follows.
     spheres: prior against interpenetration.
     floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
-    posture: (A,) weight of the weak pull to the rest posture.
-    """
+    posture: (A,) weight of the weak pull to the rest posture."""
 
     body: Body
     model: MonoModel
@@ -304,9 +302,9 @@ def fixed_parts(
     """Build the parts of the problem that do not change from frame to frame.
 
     body: its coarse mesh is compared with the pictures.
-    camera: of the pictures.
+    camera: camera of the pictures.
     active: (A,) ascending indices of the dof to estimate.
-    settings: of the cost.
+    settings: settings of the cost.
     floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
     """
@@ -335,7 +333,7 @@ def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.flo
     """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used.
 
     image: (h, w, 3) BGR.
-    settings: of the cost.
+    settings: settings of the cost.
     """
     if not settings.edges:
         return np.zeros((*image.shape[:2], 2), np.float32)
@@ -510,12 +508,12 @@ def frame_evidence(
 ) -> PictureEvidence:
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
-    fixed: parts of the problem that stay.
-    picture: of the frame.
-    points, flow: None where there are none.
+    fixed: parts of the problem that do not change from frame to frame.
+    picture: picture of the frame.
+    points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
+        none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: of the cost.
-    """
+    settings: settings of the cost."""
     arrays = PictureArrays(
         fixed.model,
         edge_arrays(field, flow, settings),

@@ -112,7 +112,10 @@ def proportions(template: Body, height: float | None) -> Proportions:
 
 
 def shaped(template: Body, factors: ArrayLike) -> Body:
-    """Deform the template by the logarithms of the proportions (K,)."""
+    """Deform a template body by proportions.
+
+    factors: (K,) natural logarithms of the proportions, in the order of FACTORS.
+    Returns: the deformed body."""
     return deform(template, shape_from_factors(factors), template.name)
 
 

@@ -35,13 +35,14 @@ _HELD = 1e8
 
 @dataclass(frozen=True)
 class WholeClip:
-    """Settings for joining the forward and the backward pass; chosen on arm seeds 100 to 106 and body seeds 100 to 103.
+    """Settings for joining the forward and the backward pass; chosen on arm seeds 100 to 106 and body seeds 100 to
+    103.
 
     temperature: scale of the cost difference from which the weights of the passes are computed.
-    settled: s after which the start is forgotten, so that the backward pass counts as much as the forward pass.
+    settled: time after which the start pose has no more influence, s; from then on the backward pass counts as much
+        as the forward pass.
     widening: factor on the covariances of single frames, because errors last longer than a frame.
-    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth.
-    """
+    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth."""
 
     temperature: float = 4.0
     settled: float = 2.0
@@ -99,8 +100,8 @@ def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip |
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
     frame_rate: Hz.
-    settings: of the average; None: the usual ones.
-    there: modes of the forward pass; back: of the backward pass, whose last frame is not used.
+    settings: settings of the average; None: the usual ones.
+    there: modes of the forward pass; back: modes of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
     o = settings or WholeClip()
@@ -148,7 +149,7 @@ def _by_turn(off: Array, poses: Array) -> Array:
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
     """Compute the information matrices (T, D, D) of the frames' poses, for solving the clip.
 
-    settings: of the average; None: the usual ones.
+    settings: settings of the average; None: the usual ones.
     covariances: (T, D, D), inverted over the active dof after widening.
     active: (A,) estimated dof; all others are fixed.
     """
@@ -170,15 +171,14 @@ PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 
 
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
-    """Build the recipe for the pictures of one camera.
+    """Build the recipe (tracking method) for the pictures of one camera.
 
-    body: of the person.
+    body: body of the person.
     frame_rate: Hz.
     particles: number of hypotheses.
     floor: height in the world of the floor, m; None: unknown.
     Mirrored limbs are tried while tracking where there are key points, because these show sooner or later which is
-    right.
-    """
+    right."""
     usual = MonoSettings(frame_rate=frame_rate)
     search = replace(usual.search, hypotheses=particles, flips=None)
     return picture_recipe(PictureSearch(body, replace(usual, search=search), floor=floor))

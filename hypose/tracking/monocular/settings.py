@@ -58,7 +58,7 @@ class MonoSettings:
     posture_scale: spread of the weak pull to the rest posture, in the same units.
     interpenetration: weight of the prior that keeps limbs out of each other and the trunk (0: none).
     floor_sd_m: usual distance of the lower sole from a known floor, m.
-    iterations, coarse_iterations: of the Newton search per frame.
+    iterations, coarse_iterations: number of all and of coarse iterations of the Newton search per frame.
     inflation: factor on the standard deviations of the reported posterior, because errors of neighbouring nodes are
         correlated (chosen on other scenes).
     frame_rate: Hz.

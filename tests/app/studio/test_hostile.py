@@ -84,7 +84,6 @@ def test_requests_that_are_none_are_answered_and_logged_once(studio, log):
             "close_px=100000",
             "open_px=99999",
             "hole_px=99999999999999999999",
-            "rim_px=100000&grabcut=1",
             "min_sd=1e308",
         ),
         *("threshold=nan", "threshold=1e308", "shadow_chroma=1e308", "keep_gap=inf", "shadow_range=0.1,1e308"),

@@ -34,6 +34,8 @@ def test_options_become_the_command(folder):
         *("--no-overlay", "--out", out),
     )
     assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
+    measured = plan_job("track", {"recording": item.id, "options": {"subject": True, "name": "try-1"}}, catalog)
+    assert measured.arguments == ("track", path, "--out", out, "--subject", str(item.path / "subject"))
     assert plan_job("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
     assert plan_job("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
 

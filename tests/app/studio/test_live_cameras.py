@@ -107,9 +107,9 @@ class Engine:
     def start(self):
         for time_s in (0.1, 0.2):
             views = [(np.zeros((h, -(-w // 8)), np.uint8), None) for w, h in self._shapes]
-            sight = SimpleNamespace(views=views, jpegs=[None] * len(views), arrival=0.0, empty=())
+            captured = SimpleNamespace(views=views, jpegs=[None] * len(views), arrival=0.0, empty=())
             for listener in self.listeners:
-                listener.seen(SimpleNamespace(sight=sight, frame=SimpleNamespace(time=time_s), poses=()))
+                listener.seen(SimpleNamespace(captured=captured, frame=SimpleNamespace(time=time_s), poses=()))
         if self._failing:
             self.failed = InputError("The process that looks at the cameras has ended; start again.")
             self.ended.set()

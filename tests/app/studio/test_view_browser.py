@@ -118,7 +118,7 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
     (root / "expected.json").write_text(json.dumps({"first": ROWS.start, "joints": pixels}))
     with serving(root) as client:
         go(WEB / "tests" / "correct.walk.mjs", client.address, root, tmp_path)
-    corrected = load_motion(results.with_name("default-corrected") / "motion.npz")
+    corrected = load_motion(root / "corrected.npz")
     truth = root / "walk" / "truth.npz"
     arm = [compare_with_truth(truth, good, 0).names.index(n) for n in ARM]
     off = {

@@ -1,4 +1,4 @@
-"""The eyes: pictures of the right shape become masks, and whoever ends them is not kept waiting."""
+"""The capture: pictures of the right shape become masks, and whoever ends them is not kept waiting."""
 
 import contextlib
 import os
@@ -46,26 +46,26 @@ def room(camera):
 
 @pytest.fixture
 def begun(monkeypatch):
-    """begun(cameras, views, options): eyes whose clock waits for them."""
+    """begun(cameras, views, options): capture whose clock waits for them."""
     made = in_step(monkeypatch)
     with contextlib.ExitStack() as closing:
 
         def begin(*given):
-            eyes = made(*given, threading.Event())
-            closing.callback(eyes.close)
-            return eyes
+            capture = made(*given, threading.Event())
+            closing.callback(capture.close)
+            return capture
 
         yield begin
 
 
-def looked(eyes, met):
-    """The first sight of which that is so."""
+def looked(capture, met):
+    """The first result of which that is so."""
     while True:
-        eyes.ask(CaptureRequest())
-        sight = eyes.answer()
-        assert sight is not None, "the film is over"
-        if met(sight):
-            return sight
+        capture.ask(CaptureRequest())
+        captured = capture.answer()
+        assert captured is not None, "the film is over"
+        if met(captured):
+            return captured
 
 
 @pytest.mark.parametrize(
@@ -85,31 +85,31 @@ def test_pictures_of_another_shape_are_not_used_and_named(begun, cameras, tmp_pa
     def views(stretched=False):
         return [LiveView(n, places[n], background=known[n], stretched=stretched) for n in cameras.names]
 
-    eyes = begun(cameras, views(), CaptureOptions(RATE))
-    sight = looked(eyes, lambda s: np.isfinite(s.time))
-    assert sight.views[0] is not None and sight.views[1] is None
-    assert len(sight.words) == 1 and sight.words[0].startswith(why)
-    eyes = begun(cameras, views(stretched=True), CaptureOptions(RATE))
-    sight = looked(eyes, lambda s: np.isfinite(s.time))
-    assert None not in sight.views and not sight.words
+    capture = begun(cameras, views(), CaptureOptions(RATE))
+    captured = looked(capture, lambda s: np.isfinite(s.time))
+    assert captured.views[0] is not None and captured.views[1] is None
+    assert len(captured.words) == 1 and captured.words[0].startswith(why)
+    capture = begun(cameras, views(stretched=True), CaptureOptions(RATE))
+    captured = looked(capture, lambda s: np.isfinite(s.time))
+    assert None not in captured.views and not captured.words
 
 
 def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
-    monkeypatch.setattr("hypose.pipeline.live.capture.SETTINGS", replace(SETTINGS, eyes_closing_s=HANG_S))
+    monkeypatch.setattr("hypose.pipeline.live.capture.SETTINGS", replace(SETTINGS, capture_closing_s=HANG_S))
     views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng, 4000), background=room(c)) for c in cameras]
-    eyes = CaptureProcess(cameras, views, CaptureOptions(RATE))
+    capture = CaptureProcess(cameras, views, CaptureOptions(RATE))
     while True:
-        eyes.ask(CaptureRequest(pictures=True))
-        sight = eyes.answer()
-        assert sight is not None
-        if np.isfinite(sight.time):
+        capture.ask(CaptureRequest(pictures=True))
+        captured = capture.answer()
+        assert captured is not None
+        if np.isfinite(captured.time):
             break
-    assert sum(len(jpeg) for jpeg in sight.jpegs) > 1 << 20
-    eyes.ask(CaptureRequest(pictures=True))
+    assert sum(len(jpeg) for jpeg in captured.jpegs) > 1 << 20
+    capture.ask(CaptureRequest(pictures=True))
     time.sleep(0.5)
-    eyes.close()
-    assert eyes._process.exitcode == 0
+    capture.close()
+    assert capture._process.exitcode == 0
 
 
 def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(cameras):
@@ -119,10 +119,10 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
         held = []
         asked = threading.Thread(target=lambda: (held.append(silent.accept()), stop.set()), daemon=True)
         asked.start()
-        eyes = CaptureProcess(cameras, views, CaptureOptions(RATE), stop)  # and it is no error
-        eyes.close()
+        capture = CaptureProcess(cameras, views, CaptureOptions(RATE), stop)  # and it is no error
+        capture.close()
         held[0][0].close()
-    assert not eyes._process.is_alive()
+    assert not capture._process.is_alive()
 
 
 def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tmp_path, rng, monkeypatch):
@@ -133,6 +133,6 @@ def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tm
     network = PoseNetwork(lambda _: DetectorOutput(boxes, scores), lambda _: LandmarkOutput(points, 0.9, mask), {})
     monkeypatch.setattr("hypose.pipeline.live.capture.open_network", lambda: network)
     views = [LiveView(c.name, folder(tmp_path / c.name, (160, 120), rng)) for c in cameras]
-    sight = looked(begun(cameras, views, CaptureOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
-    assert not sight.room and not sight.words
-    assert all(view is not None and view[0].any() and view[1] is not None for view in sight.views)
+    captured = looked(begun(cameras, views, CaptureOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
+    assert not captured.learning and not captured.words
+    assert all(view is not None and view[0].any() and view[1] is not None for view in captured.views)

@@ -81,15 +81,15 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
     for k in range(90):
         write_depth_png(tmp_path / "maps" / f"{k:03d}.png", empty if k < 75 else someone)
     view = LiveView(rig.names[0], f"depth:{tmp_path / 'maps'}", depth=True)
-    eyes = in_step(monkeypatch)(rig, [view], CaptureOptions(30.0, 0.0), threading.Event())
+    capture = in_step(monkeypatch)(rig, [view], CaptureOptions(30.0, 0.0), threading.Event())
     recorder = LiveRecorder(tmp_path / "live", rig, [view], SilhouetteSettings())
     try:
-        eyes.ask(CaptureRequest(pictures=True))
-        while (sight := eyes.answer()) is not None:
-            if np.isfinite(sight.time):
-                recorder.seen(LiveResult(sight, Frame(sight.time, recorder.written), ()))
+        capture.ask(CaptureRequest(pictures=True))
+        while (captured := capture.answer()) is not None:
+            if np.isfinite(captured.time):
+                recorder.seen(LiveResult(captured, Frame(captured.time, recorder.written), ()))
     finally:
-        eyes.close()
+        capture.close()
     assert recorder.close()
     recording = load_recording(tmp_path / "live")
     room = recording.views[0].background

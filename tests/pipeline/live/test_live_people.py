@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING
-from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING
+from hypose.pipeline.live.live_people import STATE_EMPTY, STATE_LOST, STATE_SEARCHING, STATE_TRACKING
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.subject import scaled_to_height
 from tests.conftest import HANG_S

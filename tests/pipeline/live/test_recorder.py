@@ -49,7 +49,7 @@ def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk
     for kept, frame in zip(masks_of(recording), frames, strict=False):
         assert (kept.masks == frame.silhouettes.masks).all() and kept.usable.all()
     written = [p.read_bytes() for p in sorted(recording.views[1].source.glob("*.jpg"))]
-    assert written == [one.sight.jpegs[1] for one in sent]  # byte for byte what the camera sent
+    assert written == [one.captured.jpegs[1] for one in sent]  # byte for byte what the camera sent
     rows = [json.loads(line) for line in (tmp_path / "live" / "poses.jsonl").read_text().splitlines()]
     assert [r["n"] for r in rows] == list(range(20))
     assert [r["time"] for r in rows] == pytest.approx([f.time for f in frames[:20]])
@@ -89,10 +89,12 @@ def test_a_damaged_picture_is_not_recorded(tmp_path, walk, frames):
     for k, frame in enumerate(frames[:4]):
         one = seen(frame, None)
         if k == 2:  # it came, and could not be decoded
-            sight = replace(
-                one.sight, views=(None, *one.sight.views[1:]), jpegs=(b"\xff\xd8 damaged", *one.sight.jpegs[1:])
+            captured = replace(
+                one.captured,
+                views=(None, *one.captured.views[1:]),
+                jpegs=(b"\xff\xd8 damaged", *one.captured.jpegs[1:]),
             )
-            one = replace(one, sight=sight)
+            one = replace(one, captured=captured)
         made.seen(one)
     assert made.close()
     with open_video(load_recording(tmp_path / "live").views[0].source) as reader:
@@ -124,7 +126,7 @@ def test_what_was_written_before_the_disk_was_full_is_a_recording(tmp_path, walk
             rows.flush()
             made._last[2], seen = (
                 None,
-                replace(seen, sight=replace(seen.sight, jpegs=(seen.sight.jpegs[0], *[None] * 3))),
+                replace(seen, captured=replace(seen.captured, jpegs=(seen.captured.jpegs[0], *[None] * 3))),
             )
             monkeypatch.setattr(recorder_module, "_black", full)
         write(made, seen, rows)

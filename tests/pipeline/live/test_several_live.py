@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.action_scenes import subject_of_seed
-from hypose.pipeline.live.live_people import STATE_TRACKING, LivePeople
-from hypose.pipeline.live.live_search import LivePersonOptions
+from hypose.pipeline.live.live_people import STATE_TRACKING, LivePeople, LivePersonOptions
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import moved
 from hypose.synthetic.scenes import camera_rig, make_scene

@@ -6,7 +6,7 @@ import pytest
 from hypose.cameras.camera import Camera
 from hypose.evidence.pose_network import CROP, Crop, Sighting
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.pipeline.live.background_models import NetworkRoom, ViewBackground
+from hypose.pipeline.live.background_models import NetworkBackground, ViewBackground
 from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120
@@ -107,7 +107,7 @@ def test_a_network_needs_no_empty_room():
             crop = Crop(np.array([160.0, 120.0]), np.array([160.0, 60.0]))
             return [Sighting(np.ones((33, 3)), np.full((CROP, CROP), number < 2, np.float32), crop, crop)]
 
-    room = NetworkRoom(camera, small, (8.0, 0.0), Network())
+    room = NetworkBackground(camera, small, (8.0, 0.0), Network())
     room.learn([])
     mask, outline = room.mask(np.zeros((240, 320, 3), np.uint8))
     assert mask.shape == small.size[::-1] and outline is not None

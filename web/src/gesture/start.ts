@@ -7,6 +7,15 @@ import { PHASES } from "./live";
 
 const USUAL: PhaseSeconds = { do_gesture: 3, positive: 5, release: 2, negative: 8 };
 const NEW = "";
+/** What the simulated person does. */
+const MEANT: Readonly<Record<string, string>> = {
+  tee: "a flat hand on the finger tips of the other",
+  cross: "both forearms crossed before the chest",
+  pause: "an open palm held up",
+  silence: "the index finger before the lips",
+  ok: "thumb and index finger form a ring",
+  volume_up: "a thumb up",
+};
 
 interface Wish {
   source: string;
@@ -86,7 +95,7 @@ function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void):
   return [
     h("h2", {}, "Who is seen"),
     h("div", { class: "kinds", role: "radiogroup", "aria-label": "Source" }, ...kinds.map((k) => kindCard(k, k === chosen, wish, draw))),
-    ...(chosen && chosen.sources.length > 1 ? [field("Which one", sourceSelect(chosen, wish, draw))] : []),
+    ...(chosen && chosen.sources.length > 1 ? [field(chosen.name === "simulated" ? "Person" : "Which one", sourceSelect(chosen, wish, draw))] : []),
     field("Gesture", gestures.length ? gestureSelect(gestures, wish, draw) : gestureName(wish, showLearn)),
     field("Learn", learn),
     field("Rounds", number("Rounds", wish.rounds, 1, 100, 1, (n) => {
@@ -152,7 +161,8 @@ function sourceSelect(kind: Kind, wish: Wish, draw: () => void): HTMLElement {
 }
 
 function gestureSelect(gestures: readonly string[], wish: Wish, changed: () => void): HTMLElement {
-  return select("Gesture", gestures.map((g) => ({ value: g, label: g.replaceAll("_", " ") })), wish.gesture, (value) => {
+  const told = (name: string): string => name.replaceAll("_", " ") + (MEANT[name] ? `: ${MEANT[name]}` : "");
+  return select("Gesture", gestures.map((g) => ({ value: g, label: told(g) })), wish.gesture, (value) => {
     wish.gesture = value;
     changed();
   });

@@ -100,7 +100,7 @@ export class MaskStep {
     this.sliders.replaceChildren(
       ...rows(PLAIN, true),
       h("details", { open: this.advanced, ontoggle: (event: Event) => (this.advanced = (event.target as HTMLDetailsElement).open) }, h("summary", { class: "dim" }, "Advanced"), ...rows(ADVANCED, false),
-      h("div", { class: "row wrap" }, flag("shadow", "No shadows", "Take shadows away; switch it off in grey scenes"), flag("grabcut", "Fine rim", "Refine the outline by GrabCut; slow"))),
+      h("div", { class: "row wrap" }, flag("shadow", "No shadows", "Take shadows away; switch it off in grey scenes"))),
       h("div", { class: "row" }, this.save, reset),
     );
     this.save.disabled = true;

@@ -1,8 +1,8 @@
-"""Limb segmentation maps: a label image per view that gives the limb of the person at each pixel.
+"""A cue of your own that is measured per frame: label images that give the limb of the person at each pixel.
 
 Human-parsing networks make such maps. Labels distinguish an arm in front of the trunk from one behind it; outlines do
-not. A search counts the pixels where a body shows another limb; a solve draws bones into their regions. Both are
-hypose's own.
+not. A search counts the pixels where a body shows another limb; a solve draws bones into their regions. Give the maps
+of a frame as `replace(frame, more=(LimbMaps(labels, rig),))`.
 """
 
 from __future__ import annotations
@@ -30,14 +30,15 @@ LABELS[k] has the label k + 2; 1 is the trunk with the head, 0 is unknown."""
 
 @dataclass(frozen=True)
 class LimbSettings:
-    """Weights of the labels. Chosen on folded arms and serves of the seeds 500 and 503 (benchmark `arms`).
+    """Weights of limb label images in searches and solves. Chosen on folded arms and serves of the seeds 500 and 503
+    (benchmark `arms`).
 
     wrong: cost of a pixel of the wrong limb in a search, relative to one outside the mask.
-    along: places on a limb's bone, in lengths of the bone, that a solve draws to the middle line of its region; values
+    along: places on a limb's bone, in lengths of the bone, that a solve draws to the middle line of its region;
+        values
         above 1 are in the hand.
-    weight: of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
-    few: pixels that a limb must show to have a region; middles: pixels of its middle line that are used.
-    """
+    weight: weight of such a place in one view; sd_of_height: sd of its offset, in heights of the person.
+    few: pixels that a limb must show to have a region; middles: pixels of its middle line that are used."""
 
     wrong: float = 0.5
     along: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 0.9, 1.1, 1.3)
@@ -52,12 +53,11 @@ _SETTINGS = LimbSettings()
 
 @dataclass(frozen=True)
 class LimbMaps:
-    """Label images of one instant.
+    """Limb label images of one instant: the limb that each pixel shows.
 
     labels: (C, h, w) uint8, see LABELS, undistorted, padded with 0 to the common size.
     rig: the pinhole cameras of these images.
-    Raises: InputError where the shape or a label is wrong.
-    """
+    Raises: InputError where the shape or a label is wrong."""
 
     labels: NDArray[np.uint8]
     rig: CameraRig
@@ -150,10 +150,24 @@ class LimbEvidence(Evidence):
 
 
 def limb_of_faces(body: Body) -> NDArray[np.uint8]:
-    """Look up the label, minus 1, of the limb of each face (F,) of the body's coarse mesh."""
+    """Look up to which limb each face (F,) of the body's coarse mesh belongs: the limb's label in LABELS, minus 1."""
     return limb_of_joints(body.skeleton.joint_names)[body.coarse.face_joint]
 
 
 def limb_of_joints(names: Sequence[str]) -> NDArray[np.uint8]:
-    """Look up the label, minus 1, of the limb of each joint (J,)."""
+    """Look up to which limb each joint (J,) belongs, by its name: the limb's label in LABELS, minus 1."""
     return np.array([next((k + 1 for k, own in enumerate(LABELS) if n in own), 0) for n in names], dtype=np.uint8)
+
+
+if __name__ == "__main__":
+    from hypose.body.default_body import human
+    from hypose.compute.part_colours import shown_parts
+    from hypose.synthetic.scenes import camera_rig
+    from hypose.tracking.starts import known_pose
+
+    person, cameras = human(), camera_rig("humaneva-4").pinhole()
+    right, wrong = (known_pose(person, name) for name in ("standing", "hands-up"))
+    drawn = person.skin(right), person.coarse.faces, limb_of_faces(person)
+    shown = np.stack([shown_parts(*drawn, c.projection, c.size[::-1])[0] for c in cameras])
+    energies = LimbMaps(shown, cameras).prepared(person).energy(person, np.stack([right, wrong]))
+    print(f"energy of the labels: {energies[0]:.2f} at the right pose, {energies[1]:.2f} with the hands up")

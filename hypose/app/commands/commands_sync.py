@@ -1,4 +1,4 @@
-"""`hypose check` and `hypose sync`: check a recording's calibration, find how late each camera is, and correct both."""
+"""`hypose sync`: find how late each camera of a recording is, and write its evidence on one clock."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from click.exceptions import Exit
 
 from hypose.app.commands.console import ProgressCall, Stages, each, say
-from hypose.app.jobs.checking import check_picture, check_recording, examine_recording, print_cameras, write_findings
-from hypose.app.options import CheckCommand, SyncCommand
-from hypose.calibration.diagnostics import Cured, PersonReport
+from hypose.app.options import SyncCommand
 from hypose.calibration.sync_motion import at_the_end, offsets_within
 from hypose.calibration.synchronisation import (
     Resampled,
@@ -29,7 +26,6 @@ from hypose.evidence.detector import openpose_document
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import undistorted
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.file_names import file_name, folder_for
 from hypose.io.files import check_writable, claimed, write_text
 from hypose.io.recordings.frames import mask_folder, write_frame_masks
@@ -40,157 +36,9 @@ from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import (
-    Refinement,
-    cured_recording,
     observe_recording,
     raw_person,
-    refine_recording,
 )
-
-
-def check(c: CheckCommand) -> None:
-    """Check a recording and its calibration, and print what was found (`hypose check`).
-
-    Raises: Exit with code 1 where faults were found, or a refinement is no better.
-    """
-    if c.to is not None and c.to.exists():
-        raise InputError(f"{c.to} exists, and calibrations are never overwritten; give another name with --to.")
-    if c.out is not None:
-        check_picture(c.out, "--out")
-    loaded = load_recording(c.recording, c.calibration)
-    for name in c.keep:
-        loaded.rig.select([name])
-    print_cameras(loaded)
-    for text in loaded.notes:
-        say(f"note: {text}")
-    path = c.out or loaded.folder / "results" / "check.png"
-    check_writable(path.parent)
-    if c.refine:
-        check_writable((c.to or path).parent, "--to")
-    report = cured = None
-    with Stages() as progress:
-        found = check_recording(loaded, path, c.samples, progress)
-        if c.frames > 0:
-            report, cured = examine_recording(loaded, c.frames, path.with_suffix(".html"), path, found, progress)
-    write_findings(path.with_suffix(".json"), found, report)
-    for text in found.facts:
-        say(text)
-    for text in found.warnings:
-        say(f"warning: {text}", "yellow")
-    if report is not None:
-        _print_report(report)
-        say(f"Page: {path.with_suffix('.html')}")
-    say(f"Contact sheet: {path}")
-    if c.refine:
-        _refine(loaded, cured, c)
-        return
-    if found.warnings or (report is not None and not report.healthy):
-        raise Exit(1)
-    say("No problem found.", "green")
-
-
-def _print_report(report: PersonReport) -> None:
-    """Print how well each view agrees with the others, and the findings."""
-    for view in report.views:
-        numbers = []
-        if view.left_out_px == view.left_out_px:
-            numbers.append(f"key points {view.left_out_px:.1f} px from where the other cameras put them")
-        if view.tangency_px == view.tangency_px:
-            numbers.append(f"silhouette {view.tangency_px:.1f} px")
-        say(f"{view.name}: " + (", ".join(numbers) if numbers else "nothing to compare"))
-    for finding in report.findings:
-        say(f"{'fault' if finding.fault else 'note'}: {finding.sentence}", "yellow" if finding.fault else None)
-
-
-def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
-    """Refine the calibration from the person, print the changes, and write it where it is better.
-
-    loaded: recording as it is.
-    cured: the recording with measured faults corrected, from which the refinement starts; None: from the recording.
-    c: options of the user.
-    Raises: Exit with code 1 where the refined calibration is not better, or moves a camera far without --refine=far.
-    """
-    method = c.using
-    if method == "auto":
-        method = "keypoints" if loaded.keypoint_set is not None else "silhouettes"
-    recording = loaded if cured is None else cured_recording(loaded, cured)
-    late = None if cured is None else cured.late
-    with Stages() as progress:
-        result = refine_recording(
-            recording,
-            method,
-            late=late,
-            focal=c.focal,
-            fixed=c.keep,
-            height=c.height or loaded.subject_height,
-            progress=progress,
-        )
-    target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
-    for text in result.notes:
-        say(f"note: {text}")
-    if not _print_changes(result):
-        say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
-        raise Exit(1)
-    if result.far and not c.far:
-        say(
-            f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
-            "calibration has it, and nothing is written: look whether the key points are one person's in all views, or "
-            "take it with --refine=far.",
-            "yellow",
-        )
-        raise Exit(1)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_calibration(result.rig, target)
-    say(f"Refined calibration: {target} (metres, world as before, z up)", "green")
-    if any("world is turned" in n for n in loaded.notes):
-        say('note: this file is z up already: use it with world_up = "z".')
-    say(f"Use it: hypose track {loaded.folder} --calibration {target}")
-    if cured is not None:
-        for text in _settings(loaded, cured):
-            say(f"Also set in recording.toml: {text}")
-
-
-def _print_changes(result: Refinement) -> bool:
-    """Print the changes of a refinement; return whether it is better on frames that it was not found on: by the key
-    points with one camera left out, else by those of all cameras, else by the silhouettes.
-    """
-    for change in result.changes:
-        focal = f", focal length x {change.focal:.4f}" if abs(change.focal - 1) > 1e-6 else ""
-        say(
-            f"{change.name}: turned by {change.turn_deg:.2f} degrees, moved by {1000 * change.move_m:.0f} mm{focal}; "
-            f"the person moves {change.image_px:.1f} px in its image"
-        )
-    found = {
-        "Key points, one camera left out": (result.left_out_before_px, result.left_out_after_px),
-        "Key points, all cameras": (result.before_px, result.after_px),
-        "Silhouettes": (result.tangency_before_px, result.tangency_after_px),
-    }
-    known = {what: pair for what, pair in found.items() if np.isfinite(pair).all()}
-    for what, (before, after) in known.items():
-        say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
-    before, after = next(iter(known.values()), (1.0, 0.0))
-    return after < before
-
-
-def _settings(recording: Recording, cured: Cured) -> list[str]:
-    """List the settings of recording.toml that correct the faults that were measured, as sentences."""
-    out = []
-    if cured.keypoint_lag:
-        out.append(f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}")
-    for view, shift in zip(recording.views, cured.shift, strict=True):
-        if shift.any():
-            x, y = (round(float(a + b), 1) for a, b in zip(view.image_shift, shift, strict=True))
-            out.append(f"view {view.name}: image_shift = [{x:g}, {y:g}]")
-    return out
-
-
-def _free_name(path: Path) -> Path:
-    """Return the path, or the first free numbered one, since calibrations are never overwritten."""
-    number, free = 2, path
-    while free.exists():
-        free = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        number += 1
-    return free
 
 
 def sync(c: SyncCommand) -> None:
@@ -409,7 +257,7 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
     """Write the pictures of a view on the common clock, each from the nearest frame of its video.
 
     late: frames by which the view is late.
-    folder: of the video.
+    folder: folder of the video.
     Returns: path of the video.
     """
     assert view.source is not None
