@@ -314,7 +314,10 @@ class FrameProblem(Problem[Array, Evaluation]):
         return np.clip(state + step, self.lower, self.upper), moved
 
     def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve from a start with a number of coarse and of fine iterations."""
+        """Solve from a start pose (D,).
+
+        iterations: numbers of coarse and of fine iterations.
+        rule: damping and stopping rule."""
         found, used = None, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):
