@@ -291,7 +291,8 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
 def run_for_another() -> None:
     """Compile the kernel groups named on the command line; main program of a process that `warm_up` starts.
 
-    The process ends when its standard input ends, which happens when the process that started it ends."""
+    The process ends when its standard input ends, which happens when the process that started it ends.
+    """
 
     def watch() -> None:
         """End this process when its input ends."""

@@ -57,7 +57,8 @@ class PoseFit:
     gradient: (D,) of F in the same coordinates.
     iterations: number of iterations.
     converged: whether the last step was below the tolerance.
-    rows: number of rows of evidence (0: only the priors determine the pose)."""
+    rows: number of rows of evidence (0: only the priors determine the pose).
+    """
 
     pose: Array
     solved: Array
@@ -71,7 +72,8 @@ class PoseFit:
     @cached_property
     def information(self) -> Array:
         """Inverse covariance (D, D) of the pose: the Hessian with the root's rotation as a small turn in the world,
-        which is the same for every branch of its rotation vector."""
+        which is the same for every branch of its rotation vector.
+        """
         return by_turns(self.hessian, self.solved)
 
 
@@ -94,7 +96,8 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
 
     Returns: the arrays; the terms whose residuals are Python functions, which the compiled solve cannot use.
     Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the
-        body's."""
+        body's.
+    """
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
@@ -149,7 +152,8 @@ def fit_poses(
     `fit_pose`.
 
     priors: quadratic costs on the pose; options: settings of the solve.
-    Returns: one result per start, the same for any number of threads."""
+    Returns: one result per start, the same for any number of threads.
+    """
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -231,7 +235,8 @@ class _Problem:
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
         """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
-        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory."""
+        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+        """
         o = self.settings
         if not self.rows:
             return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
@@ -291,7 +296,8 @@ class FrameProblem(Problem[Array, Evaluation]):
     those of the compiled solve.
 
     evaluation(pose, coarse): cost and derivatives at a pose (D,).
-    lower, upper: (D,) joint limits."""
+    lower, upper: (D,) joint limits.
+    """
 
     def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
@@ -317,7 +323,8 @@ class FrameProblem(Problem[Array, Evaluation]):
         """Solve from a start pose (D,).
 
         iterations: numbers of coarse and of fine iterations.
-        rule: damping and stopping rule."""
+        rule: damping and stopping rule.
+        """
         found, used = None, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):

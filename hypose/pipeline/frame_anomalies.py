@@ -39,7 +39,8 @@ def looked_at(
     """Return a frame's estimate with statistics of the views and features of the error model added.
 
     last: the frame before; None: there is none.
-    change: result of `mask_change`, where known from masks of several people; None: it is computed."""
+    change: result of `mask_change`, where known from masks of several people; None: it is computed.
+    """
     seen = view_statistics(estimate, tracker.body, frame, last, change)
     views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
     if views < frame.fewest_views:  # one camera's other poses are judged otherwise
@@ -75,7 +76,8 @@ def view_statistics(
     Column 2: unexplained part of the mask, see `unexplained_share`.
     last: frame before.
     change: column 1 where already known; None: it is computed.
-    Returns: (0, 3) without silhouettes."""
+    Returns: (0, 3) without silhouettes.
+    """
     out, change = np.zeros((0, 3), np.float32), mask_change(frame, last) if change is None else change
     for silhouettes in frame.of(Silhouettes):
         out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
@@ -313,7 +315,8 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     audit: (T, J, A) features of the error model.
     n_views: (T,) number of views.
     evidence: kind of evidence; only 'silhouettes' is checked. Why: key points show where limbs are and which view is
-        wrong."""
+        wrong.
+    """
     if evidence != "silhouettes":
         return ()
     found, beyond = list[Finding](), beyond_usual(audit, evidence)

@@ -122,7 +122,8 @@ class ClipState:
     notes: sentences for the user.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    trace: changes that the passes made so far."""
+    trace: changes that the passes made so far.
+    """
 
     source: FrameSource
     frame_rate: float
@@ -212,7 +213,8 @@ Pass = Callable[[ClipState], ClipState]
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
     """Run one pass (a step of the run over the whole clip), and record in the trace which joints it moved.
 
-    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others."""
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
+    """
     reason, begin = REASONS.get(step.__name__), time.perf_counter()
     before = None if reason is None else clip.joints
     after = step(clip)
@@ -421,7 +423,8 @@ def check_height(clip: ClipState) -> ClipState:
 
 def clips_of_people(clip: ClipState) -> list[ClipState]:
     """Split a clip of several people into one clip per person whose result is wanted; in its frames, the pixels that
-    other people cover are ignored."""
+    other people cover are ignored.
+    """
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
@@ -437,7 +440,8 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
 
 def trace_searches(clip: ClipState) -> ClipState:
     """Record in the trace the frames in which the search moved joints away from the solution that starts at the
-    predicted pose."""
+    predicted pose.
+    """
     estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
@@ -575,7 +579,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 def mark_absence(clip: ClipState) -> ClipState:
     """Mark the frames in which the person is absent as lost, and the frames in which others hide the person as
-    frames of low confidence."""
+    frames of low confidence.
+    """
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
     if motion is None or not clip.estimates:
         return clip

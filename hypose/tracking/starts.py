@@ -123,7 +123,8 @@ def start_in_pose(body: Body, frame: PreparedFrame, names: Sequence[str]) -> Pos
 
     frame: prepared, with masks; names: known poses to try, each in 16 headings.
     Raises: EvidenceError where the views have no common hull.
-    Source: Alcoverro 2014, section 2.3.3 step 1."""
+    Source: Alcoverro 2014, section 2.3.3 step 1.
+    """
     hull = hull_of(frame)
     candidates = [
         _centred(body, turn_pose(known_pose(body, name), heading), hull)
