@@ -540,7 +540,7 @@ def against_the_picture(share: Array) -> tuple[Finding, ...]:
     return (Finding("picture", (), text, size=float(np.nanmean(share))),)
 
 
-def doubt_of_depth(modes: Modes) -> Finding:
+def depth_is_uncertain(modes: Modes) -> Finding:
     """Make the finding that says how well depth is known, which one picture cannot show."""
     sd = 1e3 * float(np.nanmedian(modes.depth_sd))
     text = (

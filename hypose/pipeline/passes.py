@@ -37,7 +37,7 @@ from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
     depth_note,
-    doubt_of_depth,
+    depth_is_uncertain,
     image_deviation,
     subject_in_picture,
     tracked_frames,
@@ -412,7 +412,7 @@ def check_height(clip: ClipState) -> ClipState:
     poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
     reported = measured_height(clip.source.frame, body, poses, iou)
     off = 0.0 if reported is None else abs(reported / asked - 1)
-    if reported is None or off <= SETTINGS.subject_height_doubt:
+    if reported is None or off <= SETTINGS.subject_height_review:
         return clip
     severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
     return clip.with_findings(Finding("height", (), height_sentence(reported, asked), size=off, severity=severity))
@@ -550,7 +550,7 @@ def _assess_picture(clip: ClipState) -> ClipState:
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
     motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
-    found = *against_the_picture(deviation), doubt_of_depth(clip.modes)
+    found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
     return replace(clip, motion=motion).with_findings(*found)
 
 
