@@ -36,8 +36,8 @@ from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_ano
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
-    depth_note,
     depth_is_uncertain,
+    depth_note,
     image_deviation,
     subject_in_picture,
     tracked_frames,
