@@ -1,5 +1,6 @@
 """Exceptions that a user can meet. Each message is one sentence with the given value, the allowed values and the next
-step."""
+step.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ def _escape(found: re.Match[str]) -> str:
 
 class HyposeError(Exception):
     """Base class of all errors that hypose raises on purpose; the command line prints the message and exits with code
-    2."""
+    2.
+    """
 
     def __str__(self) -> str:
         # a damaged file may have a name or a number of many thousand letters

@@ -68,7 +68,8 @@ class Task:
     command: recording and options.
     name: name of the options, as the table gives it.
     key, recording, frames, results: filled in when the task is planned (`ordered_tasks`): key of the task (the
-        module describes it), name of the recording, number of its frames, folder of the results."""
+        module describes it), name of the recording, number of its frames, folder of the results.
+    """
 
     command: TrackCommand
     name: str = "default"
@@ -102,7 +103,8 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
         folder.
     more: options of `TrackCommand` that all rows share.
     Returns: tasks; `ordered_tasks` plans them.
-    Raises: InputError names the line and the allowed values."""
+    Raises: InputError names the line and the allowed values.
+    """
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
@@ -178,7 +180,8 @@ def finished_metrics(task: Task) -> dict[str, Any] | None:
     """Read the figures of a finished task.
 
     Returns: content of task.json; None where the task is not finished: the file or the motion is missing, or the
-        file is of another key or other wanted files."""
+        file is of another key or other wanted files.
+    """
     try:
         found = read_json(task.results / "task.json", "the record of a task")
     except InputError:
@@ -212,7 +215,8 @@ def _cell(value: Any) -> str:
 def dask_setup(worker: object) -> None:
     """Make a worker process ignore Ctrl-C; Dask calls this function in each local worker.
 
-    Why: Ctrl-C reaches all processes of a terminal, and workers must not end before they have saved their work."""
+    Why: Ctrl-C reaches all processes of a terminal, and workers must not end before they have saved their work.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -300,7 +304,8 @@ def run_batch(
     Returns: a row of the table for every task, in state "done", "failed" or "stopped"; the column before is True
         where the task had been finished earlier. After a KeyboardInterrupt, tasks that run save their work and are
         "stopped"; a second KeyboardInterrupt returns at once, with checkpoints kept.
-    Raises: InputError where the workers cannot be started or the folder cannot be written."""
+    Raises: InputError where the workers cannot be started or the folder cannot be written.
+    """
     out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:

@@ -80,7 +80,8 @@ def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
     """Make the line segments (bones) of a human body in a pose (D,), in the world; pose None: at rest, in the model
     frame.
 
-    Raises: InputError where the body lacks a joint or a landmark of the human body."""
+    Raises: InputError where the body lacks a joint or a landmark of the human body.
+    """
     s, marks = body.skeleton, body.landmarks
     if pose is None:
         joints, points = s.rest_joints, s.rest_joints[marks.joint] + marks.offset

@@ -83,7 +83,8 @@ class Board:
     def points(self) -> Array:
         """Positions (N, 3) of the board's corners in the board's frame, m, row by row.
 
-        z is 0. Seen from the front, x points right, y down and z into the board."""
+        z is 0. Seen from the front, x points right, y down and z into the board.
+        """
         nx, ny = self.size
         xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
         first = 0 if self.kind == "chessboard" else 1
@@ -139,7 +140,8 @@ def make_detector(board: Board) -> Detector:
     """Make the detector of a board.
 
     Returns: function of a grey picture (h, w) that returns a BoardDetection, or None where the picture shows no
-        board."""
+        board.
+    """
     if board.kind == "charuco":
         return _charuco_detector(board)
 

@@ -59,7 +59,8 @@ class LensPrior:
     aspect: standard deviation of the ratio fx / fy, whose mean is 1.
     radial, tangential: standard deviations of the radial coefficients k1 k2 (and the fisheye's four), and of the
         tangential coefficients p1 p2, whose means are 0.
-    k3: standard deviation of the third radial coefficient, whose mean is 0."""
+    k3: standard deviation of the third radial coefficient, whose mean is 0.
+    """
 
     centre: float = 0.05
     aspect: float = 0.01
@@ -225,7 +226,8 @@ class _Problem(SharedProblem[list[Camera]]):
 
     def _prior(self, camera: Camera) -> tuple[Array, Array]:
         """Compute the residuals (n,) of the lens prior and their derivatives (n, 4 + k) with respect to the
-        intrinsics."""
+        intrinsics.
+        """
         k, p = camera.K, self.prior
         w, h = camera.size
         n = _lens_size(camera)

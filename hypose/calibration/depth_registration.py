@@ -40,7 +40,8 @@ class CoarseAlignment:
 
     a_from_b: (4, 4) rigid motion, m.
     seconds: seconds to add to the times of b, so that both clocks agree.
-    apart: median distance of the joints after the alignment, m."""
+    apart: median distance of the joints after the alignment, m.
+    """
 
     a_from_b: Array
     seconds: float

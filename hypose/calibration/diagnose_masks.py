@@ -70,7 +70,8 @@ class Alignment:
     lag: number of frames: the key points of frame t belong to video frame t + lag.
     lag_sd: standard deviation of the lag, frames.
     shift: (2,) x and y to add to image positions so that masks and key points agree, px of the masks.
-    shift_sd: (2,) standard deviation of the shift, px of the masks."""
+    shift_sd: (2,) standard deviation of the shift, px of the masks.
+    """
 
     lag: float
     lag_sd: float
@@ -168,7 +169,8 @@ def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.b
 
 def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
     """Compute how far (N,), px, the mask extends from each start (N, 2) in its direction; 0 where the start is
-    outside."""
+    outside.
+    """
     at = np.rint(start[:, None] + direction[:, None] * steps[None, :, None]).astype(int)
     h, w = mask.shape
     inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
@@ -230,7 +232,8 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
 
 def _velocities(points: Array) -> Array:
     """Compute velocities (T, K, 2), px per frame, by central differences over four frames; NaN where a neighbour is
-    missing."""
+    missing.
+    """
     n = len(points)
     xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
     a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
@@ -342,7 +345,8 @@ class CommonFocal:
     """Estimated common error of the focal lengths of all cameras.
 
     factor: factor by which all focal lengths must be multiplied.
-    sd: standard deviation of its logarithm; infinite where nothing is known."""
+    sd: standard deviation of its logarithm; infinite where nothing is known.
+    """
 
     factor: float
     sd: float

@@ -179,7 +179,8 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
 
 def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
     """Test whether the upward directions of the cameras' images agree on an axis of the world other than z, and yield
-    the finding."""
+    the finding.
+    """
     mean = cameras_up(rig)
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:

@@ -1,6 +1,7 @@
 """Diagnostics with key points: gross faults, timing, and camera poses.
 
-Gross faults are found by trial (`hypose.evidence.keypoint_check`), with key points or silhouettes."""
+Gross faults are found by trial (`hypose.evidence.keypoint_check`), with key points or silhouettes.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ def undo_faults(
     o: limits.
     most: largest number of faults.
     agree: largest disagreement that may remain, in shares of the person's size.
-    Returns: the findings; cameras and observations after the faults were undone."""
+    Returns: the findings; cameras and observations after the faults were undone.
+    """
     findings: list[Finding] = []
     for _ in range(most):
         trial, before, after = best_trial(rig, seen, trials, measure, few)
@@ -82,7 +84,8 @@ def undo_point_faults(
     o: limits.
     most: largest number of faults.
     every: trials are compared by every n-th frame.
-    Returns: the findings; the corrected cameras; the corrected key points (C, T, K, 3)."""
+    Returns: the findings; the corrected cameras; the corrected key points (C, T, K, 3).
+    """
     return undo_faults(
         rig, pixels, lambda r, p: trials(r, p, names, stored), disagreement, lambda p: p[:, ::every], o, most
     )
@@ -132,7 +135,8 @@ def certain_delays(
     least: smallest delay, frames.
     gain: least decrease of the disagreement, in half log likelihoods.
     Returns: delay (C,), frames, positive where the view is late, 0 where it is not certain; standard deviation (C,),
-        frames, infinite where the true delay may exceed the searched range."""
+        frames, infinite where the true delay may exceed the searched range.
+    """
     try:
         offsets, reach = solve_widely(curves, n_views, o.largest_lag)
     except EvidenceError:
@@ -178,7 +182,8 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
     """Yield a finding for each view that is late or early.
 
     late, sd: (C,) results of `late_views`, frames.
-    fault: whether the findings count as faults; False: as information only."""
+    fault: whether the findings count as faults; False: as information only.
+    """
     for name, x, s in zip(rig.names, late, sd, strict=True):
         if x != 0:
             way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"

@@ -412,7 +412,8 @@ class Cured:
     keypoints: synchronous key points in the right place.
     late: (C,) delay of each view, frames.
     shift: (C, 2) x and y to add to image positions of each view, px of the calibrated size.
-    keypoint_lag: number of frames: key points of frame t belong to video frame t + keypoint_lag."""
+    keypoint_lag: number of frames: key points of frame t belong to video frame t + keypoint_lag.
+    """
 
     rig: CameraRig
     keypoints: Array | None

@@ -63,7 +63,8 @@ class Limits:
     usual_heights: range of nearly all heights, m.
     height_share: relative difference from the known height that is a fault.
     height_doubt: relative difference from the known height that is worth a check.
-    tangency: disagreement of the silhouettes' tangent planes, share."""
+    tangency: disagreement of the silhouettes' tangent planes, share.
+    """
 
     gross: float = 0.03
     gross_lens: float = 0.012
@@ -214,7 +215,8 @@ def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
 
 def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
     """Check the floor that each depth camera sees, because a wrong scale or pose of a single camera contradicts nothing
-    else."""
+    else.
+    """
     for c in np.flatnonzero(depth.usable):
         camera = depth.rig[int(c)]
         w, h = camera.size
@@ -240,7 +242,8 @@ def seen_past(depth: Depth) -> tuple[int, int]:
     away; this shows that no person is there.
 
     depth: depth maps of all cameras at one instant.
-    Returns: number of points at which another camera looks, and number of those beyond which it sees."""
+    Returns: number of points at which another camera looks, and number of those beyond which it sees.
+    """
     surface, looked, past = depth.surface, 0, 0
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
         camera = depth.rig[b]

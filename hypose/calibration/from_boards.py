@@ -259,7 +259,8 @@ class BoardCalibration:
 
 class BoardsNotFound(CalibrationError):
     """Error that the board was not found, or not well enough, in some camera; `views` hold the detections for the
-    contact sheet."""
+    contact sheet.
+    """
 
     def __init__(self, message: str, views: tuple[CameraViews, ...]) -> None:
         super().__init__(message)

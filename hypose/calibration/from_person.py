@@ -173,7 +173,8 @@ class _Search:
 
     def curves(self, largest_s: float | None) -> Curves:
         """Compute epipolar curves over a range of offsets that grows until pairs with a clear minimum connect all
-        views."""
+        views.
+        """
         largest = max(4, round((largest_s or 1.0) * self.frame_rate))
         lenses = [c.K for c in self.lenses] if self.known else None
         tried: list[Curves] = []
@@ -194,7 +195,8 @@ class _Search:
 
     def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
         """Find the start rig with the lowest cost at given offsets, and its cost; lenses: source of the focal
-        lengths."""
+        lengths.
+        """
         points = on_common_clock(self.points, late, self.moments(late))
         factors = FOCAL_FACTORS if lenses is None and not self.known else (1.0,)
         found = []

@@ -55,7 +55,8 @@ class BodyAdjustment:
 
     rig: refined cameras, at the size of the given ones.
     poses: (F, D) refined poses.
-    cost: cost after the refinement, at the robust scale of the last stage."""
+    cost: cost after the refinement, at the robust scale of the last stage.
+    """
 
     rig: CameraRig
     poses: Array

@@ -125,7 +125,8 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
     old, new: the rigs, with the same cameras in the same order.
     points_world: (N, 3) points of the person, m.
-    Returns: one per camera: rotation, displacement, focal factor, and movement of the points in the image."""
+    Returns: one per camera: rotation, displacement, focal factor, and movement of the points in the image.
+    """
     out = []
     p = points_world[np.isfinite(points_world).all(1)]
     for a, b in zip(old, new, strict=True):
@@ -167,7 +168,8 @@ class CameraUnknowns:
     focal: focal lengths are unknowns.
     free: (C,) cameras that may move; None for all.
     radial: there is a radial term.
-    hold: standard deviations of the prior on each camera's change, in the order of `HOLD`."""
+    hold: standard deviations of the prior on each camera's change, in the order of `HOLD`.
+    """
 
     def __init__(
         self,
@@ -247,7 +249,8 @@ def adjust(
     radial: estimate a radial distortion term per camera as well.
     hold: standard deviations of the prior on each camera's change, in the order of `HOLD`.
     iterations: largest number of iterations.
-    Raises: EvidenceError where two views see too few common points."""
+    Raises: EvidenceError where two views see too few common points.
+    """
     w = np.where((confidence > 0.3) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
     keep = (w > 0).sum(0) >= 2

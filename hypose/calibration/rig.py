@@ -121,7 +121,8 @@ class RigCalibration:
     focal_sd: (C,) standard deviation of the focal length, px.
     position_sd: (C,) standard deviation of the position, m.
     dropped: (camera, frame) of detections that do not fit and were left out.
-    notes: sentences for the user."""
+    notes: sentences for the user.
+    """
 
     rig: CameraRig
     boards: Mapping[int, Array]

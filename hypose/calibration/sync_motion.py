@@ -451,7 +451,8 @@ def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
     """Smooth values (T, ...) over time where seen (of as many axes); gaps are interpolated, and values that are never
-    seen are 0."""
+    seen are 0.
+    """
     t = np.arange(len(values))
     flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
     known = np.broadcast_to(seen, values.shape).reshape(len(values), -1) & np.isfinite(flat)

@@ -99,7 +99,8 @@ def points_at(points: Array, late: float) -> Array:
     points: (T, K, 3) px, px, confidence.
     late: delay of the view, frames.
     Returns: (T, K, 3); confidence is 0 outside the clip and where a needed neighbour is missing. A missing neighbour is
-        replaced by the other one up to half a frame away."""
+        replaced by the other one up to half a frame away.
+    """
     n = len(points)
     out = np.zeros_like(points)
     at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)
@@ -160,7 +161,8 @@ class Resampled:
 
     def frame(self, index: int, /) -> Frame:
         """Compute frame `index` of the common clock; a view without images at that time is not usable, with a
-        reason."""
+        reason.
+        """
         here, n, views = self._get(index), len(self.source), list[_Between]()
         for c, late in enumerate(self.late.tolist()):
             low = int(np.floor(index + late))
@@ -175,7 +177,8 @@ class Resampled:
 
 class _Between(NamedTuple):
     """Where an instant of the common clock lies in one view: at a share of the way between two frames; inside: the view
-    has both of them."""
+    has both of them.
+    """
 
     here: int
     view: int

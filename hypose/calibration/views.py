@@ -50,7 +50,8 @@ class Look:
     sighting: the detected board; None without one.
     reason: why it was not found or not used; empty where it was.
     focus: mean of the squared Laplacian, for comparison with other pictures of the same camera only.
-    brightness: mean grey level."""
+    brightness: mean grey level.
+    """
 
     sighting: BoardDetection | None
     reason: str
@@ -66,7 +67,8 @@ class CameraViews:
     n_frames: number of frames.
     looks: results by frame number (of the common time; of photos, by order).
     lag: delay of the video, frames.
-    still: the pictures do not change, and frame 0 stands for their mean."""
+    still: the pictures do not change, and frame 0 stands for their mean.
+    """
 
     name: str
     path: Path

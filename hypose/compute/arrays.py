@@ -94,7 +94,8 @@ class Standing(NamedTuple):
 
     bits: (C, h, B) silhouette of these parts in each of C views, one bit per pixel, packed as in
         `PreparedMasks.bits`.
-    counts: (C, 2) number of pixels of this silhouette, and number of those that lie in the mask."""
+    counts: (C, 2) number of pixels of this silhouette, and number of those that lie in the mask.
+    """
 
     bits: NDArray[np.uint8]
     counts: NDArray[np.int64]
@@ -122,7 +123,8 @@ class ContourArrays(NamedTuple):
     shrunk: (C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections.
     corners: (C, 2) pixel of the image at which each view's sdf begins.
     sdf_sizes: (C, 2) width and height of the part that sdf covers; outside of this part the distance counts as
-        infinite."""
+        infinite.
+    """
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -147,7 +149,8 @@ class KeypointArrays(NamedTuple):
     projections: (C, 3, 4) pinhole projections of these pixels.
     joint: (K,) joint to which the point belongs.
     offset: (K, 3) position of the point on the body, m, in the joint's frame.
-    scale: standard deviation of a point, px."""
+    scale: standard deviation of a point, px.
+    """
 
     points: NDArray[np.float64]
     projections: NDArray[np.float64]
@@ -163,7 +166,8 @@ class PointArrays(NamedTuple):
     weight: (M,) 0 = not seen.
     joint: (M,) joint to which the point belongs.
     offset: (M, 3) position of the point on the body, m, in the joint's frame.
-    scale: (M,) standard deviation of each point, m."""
+    scale: (M,) standard deviation of each point, m.
+    """
 
     points_world: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -191,7 +195,8 @@ class DepthArrays(NamedTuple):
     free_weight: weight of the residuals of body parts that lie in front of the measured surface: the sum over all of
         them, per point of the sensor.
     free_scale: Geman-McClure scale of these residuals, m.
-    slack: distance in front of the measured surface within which the body costs nothing, m."""
+    slack: distance in front of the measured surface within which the body costs nothing, m.
+    """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -226,7 +231,8 @@ class Cues(NamedTuple):
     """Evidence of one frame for the solver.
 
     contours, keypoints, points: outlines, 2D key points and 3D points; arrays of length 0 where the frame has none.
-    depth: depth maps; None: there are none, and the solver is compiled without the code for depth."""
+    depth: depth maps; None: there are none, and the solver is compiled without the code for depth.
+    """
 
     contours: ContourArrays
     keypoints: KeypointArrays
@@ -239,7 +245,8 @@ class PriorArrays(NamedTuple):
 
     centre: (P, D) pose of least cost of each term, rad and m.
     weight: (P, D) inverse variances.
-    lower, upper: (D,) limits of the pose."""
+    lower, upper: (D,) limits of the pose.
+    """
 
     centre: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -247,22 +254,22 @@ class PriorArrays(NamedTuple):
     upper: NDArray[np.float64]
 
 
-class SolveLimits(NamedTuple):
-    """Settings of one solve.
+class SolveSettings(NamedTuple):
+    """Settings of the solve of one pose.
 
-    iterations: number of iterations, the coarse ones included.
-    coarse_iterations: number of coarse iterations.
-    tolerance: stop when no dof moves further (rad; for metres half as much).
-    damping: initial Levenberg-Marquardt damping relative to the diagonal.
-    tries: number of attempts at a step, each with more damping, before the solve ends (in the coarse iterations: before
-        the fine ones).
+    iterations: number of iterations, coarse and fine together.
+    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
+    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
+    damping: initial damping, relative to the diagonal of the Hessian.
+    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
+        fine one).
     """
 
-    iterations: int
-    coarse_iterations: int
-    tolerance: float
-    damping: float
-    tries: int
+    iterations: int = 8
+    coarse_iterations: int = 4
+    tolerance: float = 1e-3
+    damping: float = 1e-2
+    tries: int = 4
 
 
 class Workspace(NamedTuple):
@@ -288,7 +295,8 @@ class Workspace(NamedTuple):
     row_joints: (M,) their joints.
     lanes: (9, M + 24) the same rows in the order of their joints, one number of a row per line; the last line is
         scratch.
-    place: (J + 1,) where each joint's rows begin."""
+    place: (J + 1,) where each joint's rows begin.
+    """
 
     vertices: NDArray[np.float32]
     turned: NDArray[np.float32]
@@ -326,7 +334,8 @@ _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
     """Convert an array to a type, contiguous and writable, because numba compiles a kernel again for every layout
-    and for read-only arrays."""
+    and for read-only arrays.
+    """
     if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # the usual case
         return a
     return np.require(a, dtype, ["C", "W", "A"])
@@ -334,7 +343,8 @@ def plain(a: ArrayLike, dtype: type) -> NDArray:
 
 def tidy(arrays: _Arrays) -> _Arrays:
     """Make all arrays of a NamedTuple contiguous and writable, because numba compiles a kernel again for every other
-    layout."""
+    layout.
+    """
     for a in arrays:
         if type(a) is np.ndarray and not a.flags.carray:
             break

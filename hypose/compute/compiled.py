@@ -51,14 +51,16 @@ _log = logging.getLogger("hypose")
 @cache
 def log_cache(text: str) -> None:
     """Log a message about the cache of compiled kernels, each text once per process; without a log handler the
-    message goes to stderr."""
+    message goes to stderr.
+    """
     _log.warning("%s", text)
 
 
 @cache
 def cache_folder() -> Path | None:
     """Return the folder in which this process caches compiled kernels; None where no folder can be used. A folder
-    that already holds the kernels may be read-only."""
+    that already holds the kernels may be read-only.
+    """
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
@@ -74,7 +76,8 @@ def make_folder(folder: Path) -> None:
     """Make a folder in the cache, and remove files that were not used for 60 days.
 
     Files are removed from this folder and from those of other versions with the same prefix (kernels,
-    kernels-of-...)."""
+    kernels-of-...).
+    """
     if not folder.is_dir():
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with contextlib.suppress(OSError):  # another process has just made it
@@ -158,7 +161,8 @@ class KernelCache(NullCache):
     """Cache of one kernel in numba's interface: one file per signature and processor.
 
     Its methods never raise: a kernel whose file cannot be read is compiled; one that cannot be written is compiled
-        again in the next process."""
+        again in the next process.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function

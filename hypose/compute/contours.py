@@ -334,7 +334,8 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985); its weight in the normal equations is
         w
     / (1 + e^2)^2. A view in which the body is not visible costs what its outline points cost at infinite distance.
-    Which points are the outline, and which is nearest, is held fixed in the derivatives."""
+    Which points are the outline, and which is nearest, is held fixed in the derivatives.
+    """
     w, h = contours.sizes[c, 0], contours.sizes[c, 1]
     sdf, outline = contours.sdf[c], contours.outline[c]
     n_outline = outline.shape[0]

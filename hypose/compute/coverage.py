@@ -52,7 +52,8 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
     xa, ya, xb, yb: ends of the segment, px.
     sign: 1 or -1; a segment from right to left counts the other way round.
     width, height: width and height of the window, px.
-    difference: (height + 1, B) difference image, changed in place."""
+    difference: (height + 1, B) difference image, changed in place.
+    """
     s = np.int16(-sign)
     if xa > xb:
         xa, xb, ya, yb = xb, xa, yb, ya
@@ -77,7 +78,8 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
     x0, y0, width, height: window in the image that the difference image shows, px.
     difference: (height + 1, B) difference image, changed in place; its sums down each column count the faces over
         each pixel.
-    one_sided: False: faces seen from inside are drawn too, because the near plane opens the body."""
+    one_sided: False: faces seen from inside are drawn too, because the near plane opens the body.
+    """
     polygon = np.empty((4, 2), np.float32)
     depth = np.empty(3, np.float32)
     for f in range(faces.shape[0]):
@@ -138,7 +140,8 @@ def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
     one_sided: omit faces seen from inside.
     difference: (P, height + 1, B) one difference image per part, changed in place.
 
-    Faces nearer than NEAR, and those with a corner that is not finite, are omitted."""
+    Faces nearer than NEAR, and those with a corner that is not finite, are omitted.
+    """
     for f in range(faces.shape[0]):
         a, b, c = u4(faces[f, 0]), u4(faces[f, 1]), u4(faces[f, 2])
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
@@ -285,7 +288,8 @@ def emit_lines(n, lines, x0, y0, width, height, difference):
 
     lines: (4, E) px, as of `contours_of_view`.
     x0, y0, width, height: window in the image that the difference image shows, px.
-    difference: (height + 1, B) difference image, changed in place."""
+    difference: (height + 1, B) difference image, changed in place.
+    """
     fx, fy = f4(x0), f4(y0)
     for e in range(n):
         xa, ya, xb, yb = lines[0, e] - fx, lines[1, e] - fy, lines[2, e] - fx, lines[3, e] - fy
@@ -384,7 +388,8 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
     edge: as returned by `prepare_edge`.
     rows, stride: rows of the window, and bytes per row of the difference image.
     out: i4, gets LANES indices from the flat index `place` on; those past the end of the edge are invalid and are
-        overwritten by the next edge."""
+        overwritten by the next edge.
+    """
     x0, y0, slope, first = edge[0, lane], edge[1, lane], edge[2, lane], edge[3, lane]
     column = cast(ramp(LANES), f4) + (first + f4(skip))
     y = (column - x0) * slope + y0
@@ -403,7 +408,8 @@ def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_s
     difference: i1, flat, from index start on.
     mask, drawn: u1, packed, low bit first, from the flat index mask_start on.
     counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in
-        mask."""
+        mask.
+    """
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -427,7 +433,8 @@ def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
     out: u1, packed, low bit first, from the flat index `place` on, `line` bytes per row: gets the pixels with a
         positive sum.
     mask: packed alike.
-    counts: (2,) i8: those pixels are added, and those of them set in mask."""
+    counts: (2,) i8: those pixels are added, and those of them set in mask.
+    """
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
@@ -463,7 +470,8 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
     front, union, edge, columns: scratch.
     lists: (2 LANES, capacity) i4: upward crossings of lane l at 2 l, downward ones at 2 l + 1.
     ends: (2 LANES,) gets their numbers.
-    Returns: mask of the lanes whose lists are full, which must be drawn otherwise."""
+    Returns: mask of the lanes whose lists are full, which must be drawn otherwise.
+    """
     full = u4(0)
     for f in range(mesh.faces.shape[0]):
         front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
@@ -508,7 +516,8 @@ def draw_lists(up, down, difference):
     faces over each pixel.
 
     up, down: (N,) and (M,) i4 flat indices of the pixels that get +1 and -1.
-    difference: flat i1, is changed."""
+    difference: flat i1, is changed.
+    """
     for i in range(up.shape[0]):
         difference[u4(up[i])] += i1(1)
     for i in range(down.shape[0]):

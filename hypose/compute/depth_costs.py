@@ -30,7 +30,8 @@ class SeenDepth(NamedTuple):
     sizes: (C, 2) width, height of each.
     projections: (C, 3, 4) pinhole projections to these pixels; the last row has unit length, so that it gives
         metres.
-    counts: (C,) number of pixels of the person."""
+    counts: (C,) number of pixels of the person.
+    """
 
     maps: NDArray[np.float32]
     sizes: NDArray[np.int64]
@@ -48,7 +49,8 @@ class StandingDepth(NamedTuple):
     faces: indices of the faces that move.
     vertices: indices of their vertices.
     drawn: (C, h, w) 1/m, 0 = none: inverse depth of the standing faces.
-    cost: (C,) depth cost of the standing faces in each view, in pixels."""
+    cost: (C,) depth cost of the standing faces in each view, in pixels.
+    """
 
     pose: NDArray[np.float64]
     rotations: NDArray[np.float64]
@@ -72,7 +74,8 @@ def depth_energy(
     threads: number of threads; None: the default.
     Returns: (N, C): the sum over pixels that show both the person and the body of min(|z - z'|, most_m) / most_m,
         divided by the person's pixels. Pixels that show only one of them are left to the silhouettes. 0 for a view
-        without the person. The result is the same for any number of threads, and for a pose alone or among others."""
+        without the person. The result is the same for any number of threads, and for a pose alone or among others.
+    """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), seen, np.float32(most_m)
@@ -89,7 +92,8 @@ def standing_depth(
     seen: depth maps of the person.
     most_m: largest difference of depth that counts, m.
     moving: (J,) bool, joints that move; they and the joints below them are left out.
-    Returns: the drawn parts, for `limb_depth_energy`."""
+    Returns: the drawn parts, for `limb_depth_energy`.
+    """
     q = plain(pose, np.float64)
     n = len(tree.parents)
     parts = moving_parts(mesh, tree, plain(moving, np.bool_))
@@ -119,7 +123,8 @@ def limb_depth_energy(
     most_m: largest difference of depth that counts, m.
     standing: drawn by `standing_depth`.
     rough: do not draw the limb, but compare each of its faces at its middle, which takes half the time.
-    Returns: (N, C) depth energy of each pose in each view, as defined in `depth_energy`."""
+    Returns: (N, C) depth energy of each pose in each view, as defined in `depth_energy`.
+    """
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     given = tidy(tree), tidy(mesh), standing, seen, np.float32(most_m), rough

@@ -105,7 +105,8 @@ def things_before(
     limit_m: largest depth, m.
     floor_m: height above the floor from which a pixel belongs to a thing, m.
     calm: function that removes single pixels from a mask, before the floor is removed.
-    Returns: (h, w) 1 at those pixels, and their number."""
+    Returns: (h, w) 1 at those pixels, and their number.
+    """
     out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
     v, u = np.nonzero(out)
     k, pose = (np.asarray(a, dtype=np.float64) for a in camera)

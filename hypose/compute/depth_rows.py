@@ -100,7 +100,8 @@ def closest_on_triangles(work):
         9 to 11 get the shares s and t of the corners u and v, and the squared distance.
     Why in vector lanes: which part of a triangle is nearest cannot be predicted, and a wrong branch takes as long as
     all cases.
-    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
+    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5.
+    """
     for i in range(_LANES):
         ux, uy, uz = work[i], work[_LANES + i], work[2 * _LANES + i]
         vx, vy, vz = work[3 * _LANES + i], work[4 * _LANES + i], work[5 * _LANES + i]
@@ -260,7 +261,8 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     A point of the surface is drawn to the nearest place on the body that faces its sensor and has a similar normal: 1/2
     w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies nearer to it
     than the surface measured in its pixel is pushed back along the optical axis, with the same loss. Which place is
-    nearest is held fixed in the derivatives."""
+    nearest is held fixed in the derivatives.
+    """
     vertices = ws.vertices
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)

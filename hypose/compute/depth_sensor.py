@@ -24,7 +24,8 @@ def draw(
     points_camera: (V, 3) m in the camera's frame.
     faces: (F, 3), of either orientation.
     lens: fx, fy, cx, cy px.
-    inverse: (h, w) 1/m, 0 = empty."""
+    inverse: (h, w) 1/m, 0 = empty.
+    """
     p = np.asarray(points_camera, dtype=np.float64)
     near = inverse_depth(p[:, 2], NEAR)
     draw_faces(p[:, :2] * near[:, None] * lens[:2] + lens[2:], near, faces, inverse)

@@ -147,7 +147,8 @@ class Packed(NamedTuple):
 
     records: (nt, N, 8) int16 per node: depth test (5 numbers), index of the left child, share of class 1 in
         ten-thousandths, 0.
-    shares: (nt, N, C) uint16, shares of all classes."""
+    shares: (nt, N, C) uint16, shares of all classes.
+    """
 
     records: NDArray[np.int16]
     shares: NDArray[np.uint16]
@@ -162,7 +163,8 @@ def pack(
     test: (nt, N, 5) depth tests of the nodes.
     left: (nt, N) left children, -1 for a leaf.
     count: (nt, N, C) samples per class.
-    size: (nt,) number of nodes in use."""
+    size: (nt,) number of nodes in use.
+    """
     n = int(size.max())
     number = count[:, :n].astype(np.float64)
     number[number.sum(2) == 0, 0] = 1.0
@@ -177,7 +179,8 @@ def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_
 
     picture: padded depth picture.
     cells: (S,) indices in its `flat`.
-    packed, clip_mm: forest, and the depth difference at which its tests are clipped, mm."""
+    packed, clip_mm: forest, and the depth difference at which its tests are clipped, mm.
+    """
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
     _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
@@ -226,7 +229,8 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
     packed, clip_mm: G forests, and the depth difference at which the tests of each are clipped, mm.
     plan: where to scan.
     Returns: (G, rows, columns), 0 where a cell was rejected. All forests share one coarse pass and one walk over the
-        picture."""
+        picture.
+    """
     span = _span(picture, plan)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
@@ -257,7 +261,8 @@ def parzen(
     Returns: m^2 of voting surface per cell (rows, columns), and the flat index of the largest value.
     Deviation: the weight of a vote is share^3 x (z stride / focal)^2, where the thesis counts votes. This is the
         surface for which it stands, so that the sum over a gesture does not depend on its distance. The cube lets the
-        confident middle of a gesture decide where it is, not the weak votes along a limb."""
+        confident middle of a gesture decide where it is, not the weak votes along a limb.
+    """
     rows, columns = (np.arange(n) * stride + stride // 2 for n in scores.shape)
     depth = picture.flat[picture.cells(rows[:, None], columns[None])] * np.float32(0.001 * stride / picture.focal)
     votes = np.where(scores > majority, scores**3 * depth**2, np.float32(0))

@@ -127,7 +127,8 @@ def grow(
     rate: mean of the Poisson number of repeats of a sample.
     alpha, beta: number of samples before a split, and least information gain of a split, bits.
     deepest: number of levels below the root.
-    spread_mm: range of the thresholds, mm."""
+    spread_mm: range of the thresholds, mm.
+    """
     limits = clip_mm, picture.reach_mm, spread_mm, rate, alpha, beta, deepest
     _grow(picture.flat, picture.width, cells, labels, picture.focal, picture.near_mm, *limits, arrays)
 
@@ -147,7 +148,8 @@ def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
     c, d: index of the cell in flat, and its depth, mm.
     uy, ux, vy, vx: offsets of the two pixels, mm.
     s: focal length / d, px per mm.
-    lo, hi: bounds to which depths are clipped."""
+    lo, hi: bounds to which depths are clipped.
+    """
     y = i4(f4(uy) * s + HALF) - SHIFT
     x = i4(f4(ux) * s + HALF) - SHIFT
     a = i4(flat[u8(np.int64(c) + y * width + x)])
@@ -205,7 +207,8 @@ def draw_test(state, t, half, spread, test):
     state, t: states of the random numbers, and the tree.
     half: largest offset, mm.
     spread: largest threshold, mm.
-    The threshold is a product of two uniform numbers, so that small differences are the most frequent."""
+    The threshold is a product of two uniform numbers, so that small differences are the most frequent.
+    """
     test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
     if uniform(state, t) < 0.5:
         test[2], test[3] = _offset(state, t, half), _offset(state, t, half)

@@ -85,7 +85,8 @@ def joint_frames(q, tree, rotations, centres, twists):
     rotations: (J, 3, 3) gets the rotations world_from_joint.
     centres: (J, 3) gets the joint centres in the world minus q[0:3], m.
     twists: (D, 6) gets the twist (w, v) of each dof: a point at x (in the world minus q[0:3], m) that moves with the
-        dof has the derivative w x x + v by it."""
+        dof has the derivative w x x + v by it.
+    """
     twists[:] = 0.0
     for i in range(3):
         for k in range(3):
@@ -101,7 +102,8 @@ def frames_of(q, tree, joints, rotations, centres, twists):
     tree: joint tree of the body.
     joints: (K,) indices of the joints to compute, parents before their children.
     rotations, centres, twists: (J, 3, 3) world_from_joint, (J, 3) m and (D, 6), as `joint_frames` describes them;
-        the rows of these joints and of their dof are filled, other rows stay as they are."""
+        the rows of these joints and of their dof are filled, other rows stay as they are.
+    """
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     turned = np.empty((3, 3))

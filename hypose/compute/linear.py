@@ -49,7 +49,8 @@ def _weighted_squares(jacobian, weight, residual, hessian, gradient):
 def weighted_squares(jacobian: ArrayLike, weight: ArrayLike, residual: ArrayLike) -> tuple[Array, Array]:
     """Compute the normal equations J^T w J (D, D) and J^T w r (D,) of weighted residuals.
 
-    jacobian, weight, residual: J (R, D), w (R,) and r (R,)."""
+    jacobian, weight, residual: J (R, D), w (R,) and r (R,).
+    """
     j, w, r = (plain(x, np.float64) for x in (jacobian, weight, residual))
     hessian, gradient = np.zeros((j.shape[1], j.shape[1])), np.zeros(j.shape[1])
     _weighted_squares(j, w, r, hessian, gradient)
@@ -76,7 +77,8 @@ class SharedEquations:
         """Eliminate the groups' unknowns, so that equations of the shared unknowns remain (Schur complement).
 
         damping: factor of the diagonal (whose entries count as at least 1) that is added to the matrices.
-        Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1."""
+        Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1.
+        """
         own = self.own.copy()
         diagonal = np.einsum("kii->ki", own)  # a view
         diagonal += max(damping, _DAMPING_SHARE) * np.maximum(diagonal, 1.0)
@@ -96,7 +98,8 @@ class Reduced:
     hessian, gradient: (S, S) and (S,) equations of the shared unknowns.
     factor: (N, n, n) Cholesky factors L of the groups' matrices.
     own_gradient: (N, n) L^-1 times the groups' gradients.
-    cross: (N, n, S) L^-1 times the coupling."""
+    cross: (N, n, S) L^-1 times the coupling.
+    """
 
     hessian: Array
     gradient: Array

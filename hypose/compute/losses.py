@@ -23,7 +23,8 @@ def quadratic(s: Any, gain: Any = 1.0, one: Any = 1.0) -> tuple[Any, Any, Any]:
     """Compute the quadratic loss rho = s of a squared residual s, and its derivatives; it is not robust, and serves
     for comparison.
 
-    Arguments and result: see the module."""
+    Arguments and result: see the module.
+    """
     return s, gain + 0 * s, 0 * s
 
 

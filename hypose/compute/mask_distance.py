@@ -36,7 +36,8 @@ def nearest_from(line, step, far, right):
 
     line: (n,) i2; the n // STEPS * STEPS numbers at its left end (or right end, where `right`) get the least of line[k]
         + step |i - k| over all k on that side, and themselves.
-    far: value beyond the end. All numbers fit into 16 bits."""
+    far: value beyond the end. All numbers fit into 16 bits.
+    """
     n, step, beyond = line.shape[0], i2(step), splat(i2(far), STEPS)
     carry, away = i2(far), (cast(ramp(STEPS), i2) + i2(1)) * step
     for first in range(0, n // STEPS * STEPS, STEPS):

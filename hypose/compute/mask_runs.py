@@ -81,7 +81,8 @@ def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     bits: the mask, packed to one bit per pixel (`bits_of`); they are changed.
     shape: (h, w) shape of the mask.
     how: settings.
-    Returns: the cleaned mask as runs."""
+    Returns: the cleaned mask as runs.
+    """
     about = np.zeros(5, np.int64)
     spans = element_spans(how.open_px), element_spans(how.close_px, True)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
@@ -145,7 +146,8 @@ def word_of(eights, k):
     """Pack 64 pixels of a row into one 64-bit word.
 
     eights: (8 words,) uint64, eight pixels each, one byte (0 or 1) per pixel.
-    k: index of the word."""
+    k: index of the word.
+    """
     word = u8(0)
     for i in range(8):  # the lowest bits of eight bytes, times this, become the highest byte
         word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
@@ -180,7 +182,8 @@ def close_to(bits, box):
     """Clear the pixels that lie in the rows of a box but outside its columns.
 
     bits: (words, h) packed mask.
-    box: rows and columns."""
+    box: rows and columns.
+    """
     for k in range(bits.shape[0]):
         inside, column = _within(box, k), bits[k, box[0] : box[1]]
         for i in range(column.shape[0]):
@@ -192,9 +195,9 @@ def grown(bits, spans, box, flip, out):
     """Dilate a packed mask by a structuring element, within a box.
 
     spans: (n, 4) the structuring element (`element_spans`).
-    bits, box: packed mask, and rows and columns to compute.
-    flip: 0: dilation; ALL: the unset pixels are dilated instead, so that out gets the erosion of the mask.
-    out: gets the result in the box."""
+    flip: 0; or ALL: the unset pixels are dilated, and out gets the rest (erosion).
+    out: gets the result in the box.
+    """
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
     for k in range(words):
@@ -230,7 +233,8 @@ def opened(bits, spans, box, out):
     """Compute the morphological opening of a packed mask within a box, into out.
 
     spans: (n, 4) the structuring element (`element_spans`). Pixels beyond the box count as set for the erosion, and
-        as unset for the dilation."""
+        as unset for the dilation.
+    """
     less = np.zeros_like(bits)
     grown(bits, spans, box, ALL, less)
     grown(less, spans, box, u8(0), out)

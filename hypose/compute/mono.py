@@ -37,7 +37,8 @@ class MonoModel(NamedTuple):
     tree, mesh: joint tree and mesh of the body.
     all_vertices, all_faces, moving_faces: indices of all vertices and faces, and of the faces that they move.
     moving_vertices: (V,) vertices of which these degrees of freedom carry more than half of the weight.
-    projection: (3, 4) pinhole projection of the camera."""
+    projection: (3, 4) pinhole projection of the camera.
+    """
 
     tree: TreeArrays
     mesh: MeshArrays
@@ -217,7 +218,8 @@ def robust(form, s, sigma2):
     2001, and s / sigma^2 for the Gaussian.
 
     s, sigma2: squared length of the residual, and squared scale, px^2 or m^2.
-    form: GAUSSIAN, LORENTZIAN or LECLERC."""
+    form: GAUSSIAN, LORENTZIAN or LECLERC.
+    """
     t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
         value, first, second = quadratic(t, gain)
@@ -248,7 +250,8 @@ def image_direction(p, u, v, depth, nx, ny):
     p: (3, 4) projection.
     u, v, depth: pixel and depth of the point, px and m.
     nx, ny: direction in the image.
-    Returns: derivatives by x, y and z."""
+    Returns: derivatives by x, y and z.
+    """
     iz = 1 / depth
     dx = (nx * (p[0, 0] - u * p[2, 0]) + ny * (p[1, 0] - v * p[2, 0])) * iz
     dy = (nx * (p[0, 1] - u * p[2, 1]) + ny * (p[1, 1] - v * p[2, 1])) * iz

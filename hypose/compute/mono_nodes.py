@@ -32,7 +32,8 @@ def pose_mesh(q, model, ws):
 
     q: (D,) pose, rad and m.
     model: MonoModel.
-    ws: scratch memory that gets them."""
+    ws: scratch memory that gets them.
+    """
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
     skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
     p = np.empty((3, 4), np.float32)

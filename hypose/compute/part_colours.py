@@ -37,7 +37,8 @@ def shown_parts(
     projection: (3, 4) pinhole projection.
     shape: (h, w) shape of the view.
     Returns: (h, w) number of the visible part plus 1, 0 where there is no body; and the rows and columns that
-        contain the body."""
+        contain the body.
+    """
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)
     x0, y0 = (int(np.clip(np.ceil(reach[k, 0]), 0, shape[1 - k])) for k in range(2))
     x1, y1 = (int(np.clip(np.floor(reach[k, 1]) + 1, n, shape[1 - k])) for k, n in enumerate((x0, y0)))
@@ -59,7 +60,8 @@ def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[ND
     masks: masks of the frame.
     edges: (C, 2, h, w) changes of colour; None: zeros.
     Returns: per view (2, h, w), at the pixels that `colour_sums` reads: the change of colour in multiples of the usual
-        change within the mask, at most 1, minus its mean over the mask."""
+        change within the mask, at most 1, minus its mean over the mask.
+    """
     out = list[NDArray[np.float32]]()
     for c, (w, h) in enumerate(masks.sizes.tolist()):
         step = _step(masks.areas[c])
@@ -96,7 +98,8 @@ def colour_sums(
     edges: strength of colour edges, as returned by `rim_edges`; None: zeros.
     Returns: (N, C) sums of the table over the pixels of the mask in which the body shows a part; (N, C) sums of the
         edges along the rims of limbs in front of others. 0 in views that are not usable. Of large masks only every
-        second pixel or so is read."""
+        second pixel or so is read.
+    """
     v = plain(vertices, np.float64)
     out, rims = np.zeros((2, len(masks.usable), len(v)))
     use, f = np.flatnonzero(masks.usable), plain(faces, np.int32)

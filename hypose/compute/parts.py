@@ -27,7 +27,8 @@ class PartView(NamedTuple):
     exposed: (P,) pixels covered by no other part.
     outside: (P,) pixels outside the mask, without its rim.
     bare: (N,) pixels of the mask without body within a radius of each point.
-    bits: (W, h) packed picture of the pixels where the body is drawn."""
+    bits: (W, h) packed picture of the pixels where the body is drawn.
+    """
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
@@ -79,7 +80,8 @@ def covered(
 
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces: (F, 3).
-    closed: the faces have no holes, so that those facing the camera cover what all of them cover."""
+    closed: the faces have no holes, so that those facing the camera cover what all of them cover.
+    """
     f = plain(faces, np.int32)
     return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
@@ -102,7 +104,8 @@ def parts_against_mask(
     step: distance between the rows and columns that are read, px.
     points, radius: (N, 2) and (N,) px of the small picture: around these, bare mask is counted.
     hidden: (H, B) ignored pixels: they are neither bare nor outside, and nothing is exposed there.
-    Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside."""
+    Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside.
+    """
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
     counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
@@ -121,7 +124,8 @@ def touched_area(
     step: distance between the rows and columns that are read, px.
     at: (N, 2) px of the masks; points outside touch nothing.
     Returns: pixels of the pieces (connected over corners too) that the points touch, and of the largest of the other
-        pieces."""
+        pieces.
+    """
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(both), connectivity=8)

@@ -227,7 +227,8 @@ def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -
     box: part of the picture; None: all.
     Returns: mask packed to one bit per pixel, as by `mask_runs.bits_of`. A shadow has the same colour but is darker,
         and is an area: single pixels along the edge of dark clothing before a bright wall are mixed colours, so that
-        shadows are opened by 3 x 3."""
+        shadows are opened by 3 x 3.
+    """
     h, w = image.shape[:2]
     y0, y1, x0, x1 = box or (0, h, 0, w)
     limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
@@ -423,7 +424,8 @@ def weighted_rows(picture, at, stride, weights, first, lines, half, shift, width
     weights: uint16.
     sums: uint16, gets the result.
 
-    width: number of bytes, at least STRIP."""
+    width: number of bytes, at least STRIP.
+    """
     for i in range(0, width, STRIP):
         here = min(i, width - STRIP)
         total = splat(u2(half), STRIP)
@@ -439,7 +441,8 @@ def weighted_row(sums, columns, start, weights, taps, scale, half, shift, x0, x1
 
     A pixel is the sum over k < taps of weights[x, k] (i4) times the pixel columns[x] - start + k of sums (u2), times
     scale, plus half, shifted down; all in 32 bits. The byte after the last pixel becomes 0, and one element of sums
-    beyond the last pixel is read."""
+    beyond the last pixel is read.
+    """
     for x in range(x0, x1):
         at = (columns[x] - start) * 3
         total = splat(u4(0), 4)  # blue, green, red, and the next byte
@@ -457,7 +460,8 @@ def blended_row(picture, step, corner, part, shares, first, count, out, to):
     Pixel n (n = first, first + 1, ...) is the weighted mean of four neighbouring pixels of picture (flat uint8):
     upper left, upper right, lower left, lower right. corner[n] (int32) is the number of the upper left one; the
     lower ones are `step` bytes further. shares[part[n]] (K, 4) uint16 are the four weights, in 1024ths. One byte
-    after the last pixel is written, and two beyond the pixels are read."""
+    after the last pixel is written, and two beyond the pixels are read.
+    """
     for k in range(count):
         at, share = 3 * np.int64(corner[first + k]), 4 * np.int64(part[first + k])
         total = _blended_pair(picture, at, shares, share) + _blended_pair(picture, at + step, shares, share + 2)
@@ -485,7 +489,8 @@ def outside(picture, low, high, at):
     colour channel is below `low` or above `high`.
 
     picture, low, high: flat uint8 pictures.
-    Returns: whole number whose bit k is set where pixel k differs."""
+    Returns: whole number whose bit k is set where pixel k differs.
+    """
     value = load(picture, at, _BYTES)
     other = (value < load(low, at, _BYTES)) | (value > load(high, at, _BYTES))
     some = where(other, splat(u1(255), _BYTES), splat(u1(0), _BYTES))  # bytes are shuffled faster than bits
@@ -505,7 +510,8 @@ def darker(picture, room, at, darkest, lightest, chroma):
     room: f4, flat as pictures.
 
     The colour is s times the room's colour, s = colour . room / room . room between darkest and lightest, with a rest
-    whose square is below chroma. For a black room the product room . room counts as 1."""
+    whose square is below chroma. For a black room the product room . room counts as 1.
+    """
     colour, mean = load(picture, at, _BYTES), load(room, at, _BYTES)
     x, y, z = _blue(mean, mean), _green(mean, mean), _red(mean, mean)
     b, g, r = cast(_blue(colour, colour), f4), cast(_green(colour, colour), f4), cast(_red(colour, colour), f4)

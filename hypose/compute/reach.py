@@ -230,7 +230,8 @@ def score_points(
     cutoff: scores above it are not computed to the end.
     Returns: (N,) sums over usable views and points of the weight: plus where there is no mask, minus in the mask where
         the standing parts are not; 0 on the standing parts, outside the image, and nearer than 0.05 m. Above the cutoff
-        a score only means that it lies above it."""
+        a score only means that it lies above it.
+    """
     p, w = plain(points, np.float64), plain(weights, np.float64)
     frame = plain(rotation, np.float64), plain(centre, np.float64)
     out, given = np.empty(len(p)), (w, *frame, tidy(prepared), rest.bits, float(cutoff))

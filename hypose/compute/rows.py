@@ -36,7 +36,8 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
     j: joint that carries the point.
     w, r: weight and residual.
     px, py, pz: the point, m, relative to the root's position.
-    gx, gy, gz: derivative of the residual by the point."""
+    gx, gy, gz: derivative of the residual by the point.
+    """
     a = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx, gx, gy, gz
     c, g, k = hessian[j], gradient[j], 0
     for x in range(6):
@@ -55,7 +56,8 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
     hessian, gradient: (J, 21) and (J, 6) sums per joint, which are changed.
 
     rows, joints: (M, 8) wrench, weight, residual, and (M,) joint of each row.
-    lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch."""
+    lanes, place: (9, M), with M of 27 at least, and (J + 1,), scratch.
+    """
     n_joints = hessian.shape[0]
     for j in range(n_joints + 1):
         place[j] = 0
@@ -134,7 +136,8 @@ def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, j
     p: (3, 4) f4, camera of the view.
     work: (9 x LANES,) f4, scratch.
     rows, joints: (M, 8) = wrench, weight, residual, and (M,); written from row n_rows on.
-    Returns: number of rows."""
+    Returns: number of rows.
+    """
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
         some = min(LANES, last - block)
@@ -180,7 +183,8 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
     hessian, gradient: (J, 21) and (J, 6) sums per joint.
     count: (2,) its first number grows by the number of key points used.
 
-    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative."""
+    A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative.
+    """
     cost = 0.0
     i2 = 1.0 / (keypoints.scale * keypoints.scale)
     for m in range(keypoints.joint.shape[0]):
@@ -224,7 +228,8 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
     points: 3D points of the frame (PointArrays).
     rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
     hessian, gradient: (J, 21) and (J, 6) sums per joint.
-    count: (2,) its first number grows by the number of points used."""
+    count: (2,) its first number grows by the number of points used.
+    """
     cost = 0.0
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
@@ -315,7 +320,8 @@ def wrench_sums(lanes, row, first, last, sums):
     first, last: range of columns; their number is a multiple of EIGHT.
 
     row: number of columns of `lanes`.
-    sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual."""
+    sums: (27,) gets, for x = 0..5: w x . y for y = 0..x, then w x . residual.
+    """
     s = sums  # in three loops of nine, whose sums share loaded values
     s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8] = _among(lanes, row, first, last, 0)
     s[12], s[13], s[17], s[18], s[19], s[23], s[24], s[25], s[26] = _among(lanes, row, first, last, 3)

@@ -45,7 +45,8 @@ def turn_lanes(frame, axis, e, out):
 
     frame, out: (9, LANES) rotation matrices, row by row.
     axis: (3, LANES) rad.
-    e: (9, LANES), scratch."""
+    e: (9, LANES), scratch.
+    """
     for k in range(LANES):
         x, y, z = axis[0, k], axis[1, k], axis[2, k]
         t2 = x * x + y * y + z * z
@@ -91,7 +92,8 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     needed: (J,) bool, joints to compute.
     frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
     axis, scratch: scratch.
-    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps."""
+    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
+    """
     last = poses.shape[0] - 1
     spare = frames[tree.parents.shape[0]]
     for j in range(tree.parents.shape[0]):
@@ -180,7 +182,8 @@ def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch
     frames, centres, axis, scratch, maps: working arrays of `bone_maps`.
     poses, first: (N, D) poses, and the first of the LANES poses.
     mesh: LaneMesh.
-    turning: (J,) joints that have moved since the last call."""
+    turning: (J,) joints that have moved since the last call.
+    """
     bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
     for i in range(points.shape[0]):
         x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
@@ -214,7 +217,8 @@ def lane_windows(bounds, box, lanes, window, origin):
     window: (5, LANES) f4 gets origin x, y, first and end column, rows.
     origin: (LANES, 4) i8 gets x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits
         begin a byte.
-    Returns: two masks of lanes: those to draw, and those that reach the near plane (their window is the whole box)."""
+    Returns: two masks of lanes: those to draw, and those that reach the near plane (their window is the whole box).
+    """
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
         x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
@@ -244,7 +248,8 @@ def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, differe
     one_sided: False: faces seen from inside are drawn too.
     x0, y0, width, height: window in the image, px.
     difference: (height + 1, B) difference image, changed in place; its sums down each column count the faces over
-        each pixel."""
+        each pixel.
+    """
     vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
     for i in range(points.shape[0]):
         for c in range(3):
@@ -342,7 +347,8 @@ def uncovered(prepared, drawn, cells):
     cells above and to the left of each cell (integral image).
 
     prepared: masks of the frame.
-    cells: (C, R + 1, B + 1) i4, zero before, gets the sums."""
+    cells: (C, R + 1, B + 1) i4, zero before, gets the sums.
+    """
     for c in range(prepared.bits.shape[0]):
         if not prepared.usable[c]:
             continue
@@ -369,7 +375,8 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
     poses: (N, D) pose vectors, rad and m.
     tree, mesh, prepared: joint tree and mesh of the body, and masks of the frame.
     turning, boxes, drawn_counts, scratch: the same arrays with which `_silhouette_xor` was called.
-    cells: sums as filled by `uncovered`."""
+    cells: sums as filled by `uncovered`.
+    """
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     for block in range(first, last):
         begin = block * LANES
@@ -495,7 +502,8 @@ def silhouette_xor(
 
     The counts are the same for any number of threads, and for a pose alone or among others. They are exact up to 1-2
     pixels of a silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or
-    behind it, are cut off."""
+    behind it, are cut off.
+    """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
     b = reach.whole_images(prepared)

@@ -54,7 +54,8 @@ def outline_rows(
     Returns: ends (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b;
         residual, px; its gradient (3) by the point, px/m; weight. None where the body is not in the view.
 
-    Which points are the outline, and which is nearest, is held fixed in the derivatives."""
+    Which points are the outline, and which is nearest, is held fixed in the derivatives.
+    """
     reference = max(_REFERENCE_PX / _HEIGHT_PX * height_px, 1.0)
     lengths = np.array([reference, _FARTHEST * height_px, _OUTLINE / max(len(outline), 1)])
     v, p = plain(vertices, np.float64), plain(projection, np.float64)
@@ -88,7 +89,8 @@ _FEWEST = 8
 @kernel
 def bilinear(image, x, y, out):
     """Interpolate an image (h, w) bilinearly at a point (x, y), px, inside it; out (4,) gets value, gradient, and
-    the largest of the four pixels."""
+    the largest of the four pixels.
+    """
     i = min(max(int(math.floor(x)), 0), image.shape[1] - 2)
     j = min(max(int(math.floor(y)), 0), image.shape[0] - 2)
     fx, fy = x - i, y - j

@@ -224,7 +224,8 @@ def lane(typingctx: Any, x, k):
 def cast(typingctx: Any, x, dtype):
     """Convert a vector to another number type; floating-point numbers are truncated, and must fit into the new type.
 
-    x, dtype: the vector, and the new type (a type of numpy)."""
+    x, dtype: the vector, and the new type (a type of numpy).
+    """
     kind = Vec(dtype.dtype, x.n)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -243,7 +244,8 @@ def cast(typingctx: Any, x, dtype):
 def shuffle(order: Sequence[int]) -> Any:
     """Make a function of two vectors x and y that returns the vector of the listed elements.
 
-    order: index of each element of the result; indices from the length of x on select elements of y."""
+    order: index of each element of the result; indices from the length of x on select elements of y.
+    """
 
     def shuffled(typingctx: Any, x, y):
         lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))

@@ -13,7 +13,7 @@ from hypose.compute.arrays import (
     Cues,
     MeshArrays,
     PriorArrays,
-    SolveLimits,
+    SolveSettings,
     TreeArrays,
     Workspace,
     plain,
@@ -44,7 +44,8 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
     wrench_hessian, wrench_gradient: (J, 21) and (J, 6) sums per joint.
 
     Sums are folded from child to parent; then H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and
-    its ancestors."""
+    its ancestors.
+    """
     n_joints, n_dof = tree.parents.shape[0], twists.shape[0]
     block = np.empty((n_joints, 6, 6))
     pull = np.empty((n_joints, 6))
@@ -153,7 +154,8 @@ def bounded_step(
     hessian, gradient: H (D, D) and g (D,).
     lower, upper: (D,) bounds.
     damping: factor of the diagonal that is added to H.
-    Returns: step (D,); None where the matrix is not positive definite."""
+    Returns: step (D,); None where the matrix is not positive definite.
+    """
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
     step = np.empty(len(q))
     try:
@@ -168,7 +170,8 @@ def form_found(found_of, mesh, ws):
 
     found_of: state that `cost_at` fills.
 
-    mesh, ws: mesh of the body, and scratch memory with the found points."""
+    mesh, ws: mesh of the body, and scratch memory with the found points.
+    """
     cameras, first, state = found_of
     for c in range(state[_FORMED], state[_VIEWS]):
         n_rows, n_points = state[_ROWS], first[c + 1] - first[c]
@@ -195,7 +198,8 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     counts: (C + 3, 2) gets forward and reverse rows of each view, then the key points, the points, and those of
         depth.
     found_of: gets what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root,
-        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made."""
+        first (C + 1,) found point of each view, and state (3,): rows, views computed, views whose rows are made.
+    """
     cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
@@ -251,7 +255,8 @@ def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
     q: (D,) pose.
     tree, mesh, priors: joint tree, mesh and priors with which `cost_at` was called.
     ws: scratch memory.
-    found_of: state that `cost_at` has filled."""
+    found_of: state that `cost_at` has filled.
+    """
     form_found(found_of, mesh, ws)
     rows = found_of[2][_ROWS]
     sum_rows(rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
@@ -270,7 +275,7 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
     get those at the result.
 
     tree, mesh, contours, keypoints, points, depth, priors, ws, counts: as in `cost_at`.
-    settings: SolveLimits.
+    settings: SolveSettings.
     Without iterations: compute the cost at q, the coarse one where coarse iterations were asked for.
     info: (4,), zero before, gets cost, iterations, evaluations, converged (1 where the last step was below the
         tolerance); the cost alone where it is not finite at the start.
@@ -426,7 +431,7 @@ def evaluate(
     coarse: whether to use the coarse scale of the contours.
     """
     evidence = tree, mesh, *cues, priors
-    return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
+    return _solved(np.array(pose, dtype=np.float64), evidence, SolveSettings(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
 class Solution(NamedTuple):
@@ -435,13 +440,12 @@ class Solution(NamedTuple):
     pose: (D,) solved pose, rad and m.
     evaluation: cost and derivatives at the pose.
     iterations: number of iterations.
-    evaluations: number of evaluations of the cost.
-    converged: whether the last step was below the tolerance."""
+    converged: whether the last step was below the tolerance.
+    """
 
     pose: Array
     evaluation: Evaluation
     iterations: int
-    evaluations: int
     converged: bool
 
 
@@ -451,7 +455,7 @@ def solve(
     mesh: MeshArrays,
     cues: Cues,
     priors: PriorArrays,
-    settings: SolveLimits,
+    settings: SolveSettings,
     ws: Workspace,
 ) -> Solution:
     """Solve the pose of one frame by bounded damped Gauss-Newton; releases the GIL.
@@ -461,17 +465,18 @@ def solve(
     cues, priors: evidence and priors of the frame.
     settings: number of iterations, tolerance and damping.
     ws: scratch memory.
-    Raises: SolverError where the cost at the start is not finite."""
+    Raises: SolverError where the cost at the start is not finite.
+    """
     q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # faster than np.clip
     evaluation, info = _solved(q, (tree, mesh, *cues, priors), settings, ws)
     if info[2] == 0:
         raise SolverError(
             "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."
         )
-    return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
+    return Solution(q, evaluation, int(info[1]), bool(info[3]))
 
 
-def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Workspace) -> tuple[Evaluation, Array]:
+def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveSettings, ws: Workspace) -> tuple[Evaluation, Array]:
     """Run the solver from pose q, which it changes; return the evaluation and its info (4,).
 
     evidence: tree, mesh, the four cues and the priors.

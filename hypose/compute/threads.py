@@ -63,7 +63,8 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
 def in_background(work: Callable[[], _Result]) -> Callable[[], _Result]:
     """Start work() in another thread where one is free, in parallel to the work of the caller.
 
-    Returns: function that waits for the result, or computes it where no thread has started."""
+    Returns: function that waits for the result, or computes it where no thread has started.
+    """
     threads = default_threads()
     if threads < 2:
         return work

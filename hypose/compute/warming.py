@@ -34,7 +34,7 @@ from hypose.compute.arrays import (
     DepthArrays,
     MeshArrays,
     PriorArrays,
-    SolveLimits,
+    SolveSettings,
     Standing,
     TreeArrays,
     prepare_masks,
@@ -143,7 +143,7 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
 def _solver() -> None:
     """Call the solver without depth."""
     q, given, ws = _evidence()
-    solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
+    solve(q, *given, SolveSettings(1, 0), ws)
 
 
 def _depth() -> None:
@@ -152,7 +152,7 @@ def _depth() -> None:
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
     surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
     q, given, ws = _evidence(DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
-    solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
+    solve(q, *given, SolveSettings(1, 0), ws)
 
 
 def _monocular() -> None:
@@ -291,7 +291,8 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
 def run_for_another() -> None:
     """Compile the kernel groups named on the command line; main program of a process that `warm_up` starts.
 
-    The process ends when its standard input ends, which happens when the process that started it ends."""
+    The process ends when its standard input ends, which happens when the process that started it ends.
+    """
 
     def watch() -> None:
         """End this process when its input ends."""

@@ -29,7 +29,8 @@ def project(p, vertices, chosen, seen, size, box):
 
     seen: (4, V) gets the pixels u and v, the depths, m, and the inverse depths (0: nearer than NEAR).
     size: (2,) width and height of the picture.
-    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie."""
+    box: (4,) gets x0, x1, y0, y1 of the part of the picture in which the vertices in front of NEAR lie.
+    """
     u, v, z, inverse = seen[0], seen[1], seen[2], seen[3]
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
     for k in range(chosen.shape[0]):
@@ -56,7 +57,8 @@ def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
     cull: whether to omit faces seen from inside (the corners of the others run clockwise in a picture whose y points
         down).
     nearest: (h, w) f4, gets the inverse depth.
-    face: (h, w) i4, gets the numbers of the faces, or None."""
+    face: (h, w) i4, gets the numbers of the faces, or None.
+    """
     h, w = nearest.shape
     for n in range(chosen.shape[0]):
         f = chosen[n]
@@ -141,7 +143,8 @@ def draw_faces(
 
     nearest: (h, w) float32 inverse depth, 1/m, which is changed.
     face: (h, w) int32 that gets the numbers of the visible faces; None: not wanted.
-    cull: whether to omit faces seen from inside."""
+    cull: whether to omit faces seen from inside.
+    """
     u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
     f = plain(faces, np.int32)
     draw_nearest(u, v, inverse, f, np.arange(len(f)), cull, nearest, face)
@@ -177,7 +180,8 @@ def interpolate(
     face, bary: (N,) number of the face at each pixel, not negative, and (N, 2) weights of its second and third
         corner, as `rasterize` returns them.
     faces: (F, 3) vertices of each face.
-    Returns: (N, K) values at the pixels."""
+    Returns: (N, K) values at the pixels.
+    """
     v, corners = np.asarray(values, dtype=f4), faces[face]
     first, second = bary[:, :1], bary[:, 1:]
     return (1 - first - second) * v[corners[:, 0]] + first * v[corners[:, 1]] + second * v[corners[:, 2]]

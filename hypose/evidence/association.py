@@ -32,7 +32,8 @@ class PersonTrack:
     points: (T, C, K, 3 or more) key points in each view, px and confidence as they were given, with left and right
         corrected; confidence 0 where the person is not seen. Further columns are as they were given.
     world: (T, K, 3) triangulated key points, m; NaN where fewer than two rays meet.
-    candidates: (T, C) index of the person's detection among the detections of the view in the frame; -1 for none."""
+    candidates: (T, C) index of the person's detection among the detections of the view in the frame; -1 for none.
+    """
 
     first: int
     points: Array
@@ -83,7 +84,8 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
     """Choose the person that the recording is about; return the index, None where there is no person.
 
     The person seen in most frames and views by points whose rays meet is chosen; of several who are seen nearly as
-    often, the one who is largest in the pictures."""
+    often, the one who is largest in the pictures.
+    """
     if not tracks:
         return None
     seen = np.array([t.seen.sum() * t.agreed for t in tracks])
@@ -98,7 +100,8 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
     names: names of the K key points.
     frame_rate: frames per second, Hz.
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
-    person fits."""
+    person fits.
+    """
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
     while True:
@@ -149,7 +152,8 @@ def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
 
 def _same_body(a: Array, b: Array) -> bool:
     """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
-    both."""
+    both.
+    """
     both = np.isfinite(a) & np.isfinite(b)
     return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < AssociationSettings.alike
 
@@ -213,7 +217,8 @@ class AssociationSettings:
     alike: largest mean difference of the logarithms of bones' lengths of the same body.
     motion: share of the last step of a point that predicts the next one.
     jump: m, after a step that is longer than this no motion is predicted.
-    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points."""
+    objects: m, largest mean distance of the rays of one person's objects; large, because outlines are no points.
+    """
 
     gate: float = 0.22
     birth: float = 0.10
@@ -250,7 +255,8 @@ def people_of(
         pixels of the pinhole `rig`, confidence 0 where missing; None where a view has no detections. Further columns
         are kept. A candidate with fewer than four points is a part that may complete a person.
     names: names of the K points.
-    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`."""
+    There is no person with one view alone, or with two that do not agree: see `hypose.evidence.one_person`.
+    """
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, columns=max(given, default=3))
     for frame in candidates:
@@ -322,7 +328,8 @@ class Association:
     def step(self, views: Sequence[Array | None], /) -> None:
         """Process one frame.
 
-        views: per camera of the rig the candidates (P, K, columns) of the frame; None where there are none."""
+        views: per camera of the rig the candidates (P, K, columns) of the frame; None where there are none.
+        """
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
@@ -359,7 +366,8 @@ class Association:
 
     def _stacked(self, views: Sequence[Array | None]) -> Array:
         """Stack the candidates of all views (C, P, K, columns), at least one per view; missing ones have confidence
-        0."""
+        0.
+        """
         some = [v for v in views if v is not None and len(v)]
         out = np.zeros((len(self._views), max((len(v) for v in some), default=1), self._k, self._columns))
         for c, v in enumerate(views):
@@ -640,7 +648,8 @@ def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> 
 
     points: per view and object (S, 3, 2), undistorted px of the pinhole `rig` in S common frames (`object_points`); NaN
         where the object is missing.
-    Returns: people as {view: object}; an object that no other view shows is a person of its own."""
+    Returns: people as {view: object}; an object that no other view shows is a person of its own.
+    """
     at = [(c, name) for c, view in enumerate(points) for name in view]
     if not at:
         return []

@@ -58,7 +58,8 @@ def from_frames(frames: Images, what: str = "background clip") -> BackgroundMode
 
 def from_plates(images: Images) -> BackgroundModel:
     """Build the model from one or more photos of the empty room (N, h, w, 3) uint8, with an sd that allows for other
-    light."""
+    light.
+    """
     model = from_frames(images, "background photos")
     return replace(model, sd=np.maximum(model.sd, np.float32(_PLATE_SD)))
 
@@ -110,7 +111,8 @@ def gain_between(mean: NDArray[np.float32], reference: NDArray[np.floating]) -> 
     """Compute the factors (3,) that scale the channels of an image `mean` (h, w, 3) to the brightness of a reference
     image.
 
-    The factor is the median ratio over the pixels where both images roughly agree; 1 where hardly any pixels do."""
+    The factor is the median ratio over the pixels where both images roughly agree; 1 where hardly any pixels do.
+    """
     # ten times as fast as numpy along an axis of three
     apart = np.maximum.reduce([np.abs(mean[..., c] - reference[..., c]) for c in range(3)])
     agree = (apart < _AGREE) & (np.minimum.reduce([mean[..., c] for c in range(3)]) > _BLACK)
@@ -137,7 +139,8 @@ def _masked_median(
     stack: Image, free: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
     """Compute median and robust sd (h, w, 3) of the stack (N, h, w, 3) over the free frames (N, h, w), and their
-    number."""
+    number.
+    """
     n, h, w, _ = stack.shape
     count = np.full((h, w), n) if free is None else free.sum(0)
     middle = np.maximum(count - 1, 0).ravel()
@@ -187,7 +190,8 @@ def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: Backgroun
 
 def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32]) -> BackgroundModel:
     """Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks.
-    Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks."""
+    Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks.
+    """
     static = _deviation(stack, median) < _STATIC
     share = static.mean(0)
     never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())

@@ -35,7 +35,8 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
     points leave no holes) and it faces the camera. The factor is -z_c . n_q, with the camera's optical axis z_c and the
     normal n_q.
     Returns: (C, S) factors, 0 where not seen; columns sum to 1, or are all 0 where no camera sees the point.
-    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17."""
+    Source: Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
+    """
     out = np.zeros((len(rig), len(hull.surface_points)))
     for c, camera in enumerate(rig):
         if usable is not None and not usable[c]:
@@ -71,7 +72,8 @@ def surface_probability(hull: Hull, seen: Array, maps: NDArray[np.float32], rig:
     hull: visual hull with S surface points.
     seen: (C, S) from `visibility`.
     maps: (C, h, w) the detector's probability at the pixels of the pinhole rig; 0 outside the images.
-    Source: Alcoverro 2014, eq. 2.17."""
+    Source: Alcoverro 2014, eq. 2.17.
+    """
     out = np.zeros(len(hull.surface_points))
     for c, camera in enumerate(rig):
         some = np.flatnonzero(seen[c] > 0)
@@ -89,7 +91,8 @@ class ClusterSettings:
     threshold: least probability of a surface point (Gamma).
     tolerance: m, largest distance of neighbours in a cluster.
     low, high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the
-        neck up to 0.15)."""
+        neck up to 0.15).
+    """
 
     threshold: float = 0.5
     tolerance: float = 0.045
@@ -107,7 +110,8 @@ def likely_clusters(
     stature: height of the person, m; sizes grow in proportion to it.
     probability: (S,) probability of each surface point.
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
-    Source: Alcoverro 2014, eq. 2.18 and the clustering after it."""
+    Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
+    """
     from scipy.sparse import coo_matrix  # takes long to import
     from scipy.sparse.csgraph import connected_components  # takes long to import
     from scipy.spatial import KDTree  # takes long to import
@@ -177,7 +181,8 @@ def detect_ends(
     centre: (3,) m, approximate place of the person (the start pose's pelvis); the hull is carved within 0.75 statures
         of it.
     Returns: the detections (none without a hull); the hull's centroid (3,), m, as the centre for the next frame.
-    With four views or more, one of them may miss a part of the person."""
+    With four views or more, one of them may miss a part of the person.
+    """
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:

@@ -17,7 +17,8 @@ _RED, _GREEN = (0.15, 0.03), (0.20, 0.02)
 
 def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Quantise the colour of each pixel of an image (h, w, 3) BGR to a code (h, w), an integer from 0 to COLOURS -
-    1."""
+    1.
+    """
     whole = image.sum(2, dtype=np.float32)
     share = image[..., :0:-1] / np.maximum(whole, 1)[..., None]  # red, green
     red, green = (

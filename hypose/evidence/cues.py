@@ -84,7 +84,8 @@ class PoseMemory(Generic[_Found]):
         """Store the result of a pose and return it.
 
         pose: (D,) pose vector, rad and m.
-        found: its result."""
+        found: its result.
+        """
         self._found[self._key(body, pose)] = found
         return found
 
@@ -112,7 +113,8 @@ class PoseMemory(Generic[_Found]):
 class SilhouetteEvidence(Evidence):
     """Silhouettes of a frame for searches and solves.
 
-    masks: masks of the frame, prepared for the search."""
+    masks: masks of the frame, prepared for the search.
+    """
 
     masks: PreparedMasks
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -120,7 +122,8 @@ class SilhouetteEvidence(Evidence):
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """Compute the silhouette energies (N,) of poses (N, D), eq. 2.8; limb: the only part of the body that
-        differs between the poses; None: any part may differ."""
+        differs between the poses; None: any part may differ.
+        """
         use = self.masks.usable
         return (self.counts(body, poses, limb)[:, use, 0] / self.masks.norm[use]).sum(1)
 
@@ -128,7 +131,8 @@ class SilhouetteEvidence(Evidence):
         """Count the pixels of poses (N, D) against the masks of the views.
 
         limb: the only part of the body that differs between the poses; None: any part may differ.
-        Returns: (N, C, 3) pixels of XOR, of the drawn body, and of the intersection."""
+        Returns: (N, C, 3) pixels of XOR, of the drawn body, and of the intersection.
+        """
         if not len(self.masks.usable):
             return np.zeros((len(poses), 0, 3), np.int64)
         given = body.skeleton.tree, body.coarse.arrays, self.masks
@@ -144,7 +148,8 @@ class SilhouetteEvidence(Evidence):
         """Compute the intersection over union (C,) of the body at a pose (D,) and each view's mask; ignored pixels do
         not count.
 
-        Returns: (C,) overlap; NaN for views without a usable mask, or in which others hide nearly all of the body."""
+        Returns: (C,) overlap; NaN for views without a usable mask, or in which others hide nearly all of the body.
+        """
         known = self._overlaps.get(body, pose)
         if known is not None:
             return known
@@ -160,13 +165,15 @@ class SilhouetteEvidence(Evidence):
 class KeypointEvidence(Evidence):
     """Key points of a frame, prepared for solves; a search does not use them.
 
-    term: the key points with their full weight, for comparing solutions; solves may use smaller weights."""
+    term: the key points with their full weight, for comparing solutions; solves may use smaller weights.
+    """
 
     term: KeypointTerm
 
     def cost(self, body: Body, poses: Array) -> Array:
         """Compute the robust cost (N,) of the key points at poses (N, D), as the solver does; a cost difference of 1
-        is a difference of 1 in log-likelihood."""
+        is a difference of 1 in log-likelihood.
+        """
         term = self.term
         x = body.skeleton.points(term.joint, term.offset, poses)
         h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
@@ -182,7 +189,8 @@ class KeypointEvidence(Evidence):
 class DepthEvidence(Evidence):
     """Depth of a frame for searches and solves.
 
-    maps: depth maps of the sensors that see the person, prepared for the search."""
+    maps: depth maps of the sensors that see the person, prepared for the search.
+    """
 
     maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
@@ -221,7 +229,8 @@ class DepthEvidence(Evidence):
             certainly above `slack` times that of the first pose plus `more`.
         standing: the parts that do not move, where they are drawn already.
         Returns: (N,) energies; infinite for poses that were not compared in full, because only the best ones of a
-            rough comparison are."""
+            rough comparison are.
+        """
         seen = self.maps
         standing = standing or self.standing(body, poses[-1], moving)
 
@@ -261,7 +270,8 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
     """Reduce depth maps to the pixels of the person, cut to the person's box, and shrink them so far that the person
     is still `tall` px tall.
 
-    Returns: (C,) sensors that see the person; the reduced maps."""
+    Returns: (C,) sensors that see the person; the reduced maps.
+    """
     views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
     maps, projections, counts = [], [], []
     used = np.flatnonzero(views)
@@ -289,7 +299,8 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
     """Prepare the masks of a frame for tracking.
 
     Returns: list of one Evidence; an empty list where no view has an outline.
-     weight: weight of a contour row."""
+     weight: weight of a contour row.
+    """
     masks = prepared_masks(silhouettes)
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
@@ -301,7 +312,8 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
 def depth_evidence(depth: Depth) -> list[Evidence]:
     """Prepare depth maps for tracking.
 
-    Returns: list of one Evidence; an empty list where no map shows the person."""
+    Returns: list of one Evidence; an empty list where no map shows the person.
+    """
     term = depth_term(depth)
     if term is None:
         return []
@@ -313,13 +325,15 @@ def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvide
     """Prepare key points for tracking.
 
     term: the key points with their full weight, for comparing solutions.
-    weaker: the same key points with the smaller weights that solves use."""
+    weaker: the same key points with the smaller weights that solves use.
+    """
     return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
     """Build the solver terms of a frame that concern the body's surface, for fits of its shape: outlines, and depth
-    where there is any."""
+    where there is any.
+    """
     outlines: list[Term] = [contour_term(masks) for masks in frame.of(Silhouettes)]
     return outlines + [term for depth in frame.of(Depth) for one in depth_evidence(depth) for term in one.terms]
 
@@ -328,16 +342,19 @@ class OwnEvidence(Protocol):
     """Interface of evidence that a user adds to the product, for example a sensor, a marker or a rule.
 
     Both methods get the frame, whose index and time identify the measurement. Threads may call them at the same
-    time."""
+    time.
+    """
 
     def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:
         """Return the measurement of a frame for the solver: positions of body points (PointTerm), or residuals of
-        body points (RowTerm); None where the frame has no measurement."""
+        body points (RowTerm); None where the frame has no measurement.
+        """
         ...
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
         """Compute the costs (N,) of poses (N, D) for the search, low is good; the silhouettes of one view cost
-        between 0 and 2."""
+        between 0 and 2.
+        """
         ...
 
 
@@ -357,7 +374,8 @@ def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> li
     """Prepare the user's own sources of evidence in a frame, for a body.
 
     sources: user's objects; `rows` of each is called once.
-    Returns: one Evidence per source, which has no terms where the source has no rows in this frame."""
+    Returns: one Evidence per source, which has no terms where the source has no rows in this frame.
+    """
     rows = [one.rows(body, frame) for one in sources]
     terms = [() if term is None else (term,) for term in rows]
     return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]

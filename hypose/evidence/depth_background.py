@@ -194,7 +194,8 @@ def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
     camera: camera of the map.
     room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
-    Returns: (h, w) 0 or 1."""
+    Returns: (h, w) 0 or 1.
+    """
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 
@@ -273,7 +274,8 @@ class _Standing:
 
     def people(self, head: float = np.inf) -> Mask:
         """Segment all pieces (h, w) that may be a person, or half of one behind another, and are no wider than
-        `head` at the top."""
+        `head` at the top.
+        """
         low = {k: p for k, p in self.pieces.items() if p.top < _TALL_M}  # walls and ceilings reach higher
         return self.with_limbs([k for k, p in low.items() if p.like > _LIKE and p.head < head], low)
 

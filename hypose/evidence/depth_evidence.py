@@ -50,7 +50,8 @@ class SurfacePoints:
     points: (M, 3) m.
     normals: (M, 3) outward unit vectors.
     sd: (M,) standard deviation along the ray, m.
-    first: (C + 1,) points first[c] to first[c + 1] are those of view c."""
+    first: (C + 1,) points first[c] to first[c + 1] are those of view c.
+    """
 
     points: Array
     normals: Array
@@ -67,7 +68,8 @@ class Depth:
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
     noise: noise of the sensors.
-    blank: (C,) True for depth cameras whose whole map is a hole; None: there are none."""
+    blank: (C,) True for depth cameras whose whole map is a hole; None: there are none.
+    """
 
     maps: NDArray[np.float32]
     person: NDArray[np.uint8]
@@ -150,7 +152,8 @@ def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[
     one surface.
 
     jump_m: difference of depth from which neighbours are different surfaces, m.
-    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump."""
+    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
+    """
     kernel = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
     sound = (low > 0) & (high - low < jump_m)

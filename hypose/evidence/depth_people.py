@@ -33,7 +33,8 @@ def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
 
     depth: maps in which the person is marked.
     bounds: (2, 3) m, limits the space.
-    Raises: EvidenceError where no sensor shows a person."""
+    Raises: EvidenceError where no sensor shows a person.
+    """
     found, rays = [], []
     for c in np.flatnonzero(depth.usable):
         w, h = depth.rig.sizes[c]
@@ -88,7 +89,8 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
 
     known: people who are left out.
 
-    floor: height of the floor, m."""
+    floor: height of the floor, m.
+    """
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
     return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)
@@ -155,7 +157,8 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
     own: shape where the person is expected.
     others: shapes of all other people.
     anywhere: the person was lost and may be anywhere that no other person covers.
-    Returns: the frame with the evidence of this person alone."""
+    Returns: the frame with the evidence of this person alone.
+    """
     if frame.silhouettes is None:
         return frame
     if frame.depth is None:
@@ -198,7 +201,8 @@ def own_depth(
     own: shape where the person is expected.
     others: shapes of all other people.
     anywhere: the person was lost and may be anywhere that no other person covers.
-    Returns: silhouettes and depth of the person; views of colour cameras are marked as not usable."""
+    Returns: silhouettes and depth of the person; views of colour cameras are marked as not usable.
+    """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)

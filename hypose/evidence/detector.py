@@ -36,13 +36,15 @@ class PoseDetector(Protocol):
         number: number of the picture in the video.
         before: expected places of the people of the previous picture.
         Returns: one item per person found; empty where there is none. It must depend on these arguments alone, so
-            that interrupted work can be resumed."""
+            that interrupted work can be resumed.
+        """
         ...
 
 
 def openpose_document(people: ArrayLike) -> dict[str, Any]:
     """Convert people (P, K, 3), px and confidence, to OpenPose's JSON document; people without a confident point are
-    left out."""
+    left out.
+    """
     seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
     return {
         "version": 1.3,

@@ -1,5 +1,6 @@
 """Compute edges of a picture (the gradient in units of a full edge), and optical flow with outliers and motion
-boundaries."""
+boundaries.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: fl
 
 def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Compute the Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest; 0 on
-    the border."""
+    the border.
+    """
     slopes = np.stack([cv2.Scharr(image, cv2.CV_32F, 1 - k, k, scale=1 / 32).reshape(image.shape) for k in range(2)], 2)
     best = (slopes**2).sum(2).argmax(2)
     field = np.take_along_axis(slopes, best[..., None, None], 3)[..., 0]
@@ -80,7 +82,8 @@ def optical_flow(
     Raises: InputError where the pictures differ in size or are too small.
     Source: Sminchisescu & Triggs 2001, section 3.2: robust flow with an outlier map, from which smoothed motion
         boundaries are made. Deviation: DIS flow (Kroeger et al. 2016) in both directions, with the forward-backward
-        error as the outlier map, instead of Black & Anandan's flow."""
+        error as the outlier map, instead of Black & Anandan's flow.
+    """
     if previous.shape != current.shape or previous.ndim != 2:
         raise InputError(
             f"Flow needs two grey pictures of one size, got {previous.shape} and {current.shape}; check that the video "
@@ -105,7 +108,8 @@ def optical_flow(
 
 def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArray[np.float32]:
     """Compute the length (h, w), px, of there(x) + back(x + there(x)); outside the picture the border's flow is
-    used."""
+    used.
+    """
     h, w = there.shape[:2]
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
     at = x + there[..., 0], y + there[..., 1]

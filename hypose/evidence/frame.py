@@ -119,7 +119,8 @@ class Detections:
 
     points: (M, 3) in the world, m.
     score: (M,) score of the detector.
-    part: (M,) index of the part."""
+    part: (M,) index of the part.
+    """
 
     points: Array
     score: Array
@@ -136,7 +137,8 @@ class SensorReport:
     person: the sensor's number of the person; None when it sees no person (the arrays are empty).
     joint_names: (J,).
     positions: (J, 3) in the sensor's frame, m, NaN where missing.
-    state: (J,) uint8, per joint: 0 not tracked, 1 inferred, 2 tracked."""
+    state: (J,) uint8, per joint: 0 not tracked, 1 inferred, 2 tracked.
+    """
 
     sensor: str
     time: float
@@ -229,7 +231,8 @@ class Colours:
 
     codes: (C, h, w) colour code of each pixel of the masks (`colour_codes`); defined inside the person's masks only.
     seen: (C,) False for a view without a picture.
-    edges: (C, 2, h, w) how fast colours change along rows and columns; None: not computed."""
+    edges: (C, 2, h, w) how fast colours change along rows and columns; None: not computed.
+    """
 
     codes: NDArray[np.uint16]
     seen: NDArray[np.bool_]
@@ -269,7 +272,8 @@ class Frame:
         """Return the frame's piece of evidence of a class.
 
         kind: class of the piece, for example Silhouettes.
-        Raises: EvidenceError where the frame has no such piece."""
+        Raises: EvidenceError where the frame has no such piece.
+        """
         for piece in self.of(kind):
             return piece
         raise EvidenceError(
@@ -289,7 +293,8 @@ class Frame:
     @property
     def kind(self) -> str:
         """Name of the kind of evidence by which a pose is judged: "depth" where the frame has depth, else
-        "silhouettes", else "keypoints"."""
+        "silhouettes", else "keypoints".
+        """
         return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
 
     @property
@@ -305,5 +310,6 @@ class Frame:
 
 def pieces_of(frames: Iterable[Frame], kind: type[_Piece]) -> list[_Piece]:
     """List the pieces of evidence of one class in several frames, in the order of the frames; frames without one are
-    skipped."""
+    skipped.
+    """
     return [piece for frame in frames for piece in frame.of(kind)]

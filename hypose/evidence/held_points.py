@@ -29,7 +29,8 @@ def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[A
     first: index of the first of the two columns with the positions (px) as the file gave them, which are compared; 0
         where u and v are those, 3 where u and v were undistorted and the given ones follow the confidence.
     Returns: the frames, copied and with confidence 0 at held points; and the number of held points. Where more than a
-        tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0."""
+        tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0.
+    """
     out = [None if people is None else people.copy() for people in column]
     seen = repeated = count = 0
     before: tuple[Array, NDArray[np.int64]] | None = None  # the people of the frame before, and for how long

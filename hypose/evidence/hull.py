@@ -1,5 +1,6 @@
 """Compute the visual hull: the space that all silhouettes leave to the person (space carving on voxels, coarse to
-fine)."""
+fine).
+"""
 
 from __future__ import annotations
 
@@ -244,7 +245,8 @@ def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[n
 def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
     """Draw the voxels of a hull in pinhole cameras.
 
-    Returns: (C, h, w) uint8 masks, 1 = hull, padded to the common size."""
+    Returns: (C, h, w) uint8 masks, 1 = hull, padded to the common size.
+    """
     points = hull.surface_points
     sizes = rig.sizes
     out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
@@ -270,7 +272,8 @@ def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
 
 def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
     """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
-    views that are not usable."""
+    views that are not usable.
+    """
     pictures = hull_masks(hull, silhouettes.rig).astype(bool)
     masks = silhouettes.masks > 0
     both = (pictures & masks).sum((1, 2))

@@ -65,7 +65,8 @@ class HullPerson:
 
     hull: the part of the hull that is this person.
     axis: (2,) where the person stands on the floor, m.
-    seen: (C, h, w) the person's pixels, where they are known (depth cameras)."""
+    seen: (C, h, w) the person's pixels, where they are known (depth cameras).
+    """
 
     hull: Hull
     axis: Array
@@ -150,7 +151,8 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
 
     floor: height of the floor, m.
     most: largest number of people.
-    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person."""
+    surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
+    """
     return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
 
 

@@ -33,7 +33,8 @@ class Trial(Generic[SeenT]):
     views: indices of the affected views; empty for all.
     words: description of the fault.
     rig: cameras after the cure.
-    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps."""
+    seen: observations of the views after the cure: key points (C, T, K, 3), mask tracks or depth maps.
+    """
 
     kind: str
     views: tuple[int, ...]
@@ -92,7 +93,8 @@ def sizes(pixels: Array) -> Array:
     frames.
 
     pixels: (C, T, K, 3) px, and confidence.
-    Returns: (C,) px; 0 where no person is seen."""
+    Returns: (C,) px; 0 where no person is seen.
+    """
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
         found = [size for p in view if (size := person_size(p, least=6)) > 0]

@@ -91,7 +91,8 @@ def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]
     points: (..., K, 3).
     Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given names
         that the set does not have.
-    Raises: InputError where no set contains four of the names."""
+    Raises: InputError where no set contains four of the names.
+    """
     common = [common_name(n) for n in names]
     held = {s: sum(n in order for n in dict.fromkeys(common)) for s, order in KEYPOINT_SETS.items()}
     best = max(KEYPOINT_SETS, key=lambda s: (held[s], -len(KEYPOINT_SETS[s])))
@@ -114,7 +115,8 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
 
     points: (N, K, 3) px and confidence, of N people.
     Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little
-        is seen. Right sets have about 0, others 1 and more."""
+        is seen. Right sets have about 0, others 1 and more.
+    """
     p = np.asarray(points, dtype=np.float64)
     names = keypoint_names(keypoint_set)
     if p.ndim != 3 or p.shape[1] < len(names):
@@ -152,7 +154,8 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
     usual: sets that are preferred where several have this number of points.
     Returns: name of the set; how it is known: "stated", "by their number" or "by the lengths of bones".
     Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of another
-        are not, or where no set has this number of points or fits."""
+        are not, or where no set has this number of points or fits.
+    """
     count = views[0].shape[1]
     fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]
     fitting = list(dict.fromkeys(fitting))

@@ -92,7 +92,8 @@ def lasting_m(names: Sequence[str]) -> float:
     frames, so that no scatter shows it.
 
     It is known for BlazePose only: on rendered people (seeds 5200 to 5215) its points lay 10 to 20 mm from their mean
-    offsets. 0 for other sets."""
+    offsets. 0 for other sets.
+    """
     return 0.02 if tuple(names) == BLAZEPOSE_33 else 0.0
 
 
@@ -100,7 +101,8 @@ def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
     """Return the names of the points of a key-point set.
 
     keypoint_set: name of the set.
-    Raises: InputError, which lists the sets, where the name is unknown."""
+    Raises: InputError, which lists the sets, where the name is unknown.
+    """
     found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(keypoint_set.strip().upper().replace("-", "_"))
     if found is None:
         raise InputError(f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}.")
@@ -118,7 +120,8 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
 def names_of_length(count: int) -> tuple[str, ...]:
     """Return the names of the key-point set with this number of points (25: OpenPose's BODY_25).
 
-    Raises: InputError, which lists the sets, where no set has this number."""
+    Raises: InputError, which lists the sets, where no set has this number.
+    """
     for names in KEYPOINT_SETS.values():
         if len(names) == count:
             return names

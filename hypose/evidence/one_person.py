@@ -42,7 +42,8 @@ class OnePerson:
     people: tracks of all people seen by two views or more, this person first.
     by_rays: true: people were matched by rays; false: by motion.
     apart: views whose detections do not fit the person's place.
-    notes: sentences for the user."""
+    notes: sentences for the user.
+    """
 
     points: Array
     several: bool
@@ -68,7 +69,8 @@ def one_person(
     names: names of the K points.
     rig: pinhole cameras.
     keep_misfits: the calibration itself is in doubt; a view that does not fit keeps the person who moves like the one
-        in the other views. Otherwise such a view is left out."""
+        in the other views. Otherwise such a view is left out.
+    """
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
     shown = np.array([[_how_many(people) > 0 for people in column] for column in columns]).T  # (T, C)
@@ -314,7 +316,8 @@ def taken(frames: Sequence[Array | None], candidates: NDArray[np.int64], count: 
     frames: T arrays (P, K, columns), None where there are no candidates.
     candidates: (T,) index of the person's candidate in each frame, -1 for none.
     count: number K of key points.
-    Returns: (T, K, columns) points; 0 where the person has no candidate."""
+    Returns: (T, K, columns) points; 0 where the person has no candidate.
+    """
     out = np.zeros((len(frames), count, columns))
     for t, (people, p) in enumerate(zip(frames, candidates, strict=True)):
         if p >= 0 and people is not None:

@@ -1,5 +1,6 @@
 """Compute outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` caches those of a
-frame."""
+frame.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ class Outlines:
 
     distance: (C, h, w), each view in its own size (sizes (C, 2)) at its corner (corners (C, 2)).
     points: (C, K, 2).
-    found, extent, shrunk: (C,)."""
+    found, extent, shrunk: (C,).
+    """
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -82,7 +84,8 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     """Compute the outline of a mask (h, w) without padding, in its own size.
 
     count: number of outline points.
-    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk."""
+    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk.
+    """
     box = bounding_box(mask) or (0, 0, 0, 0)
     if working_height is not None:
         return outline_in_box(mask[box[0] : box[1], box[2] : box[3]], box, mask.shape, count, working_height)
@@ -119,7 +122,8 @@ def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutl
     """Compute the outline of a packed mask for tracking.
 
     count: number of outline points.
-    working_height: a mask taller than this is shrunk before, px."""
+    working_height: a mask taller than this is shrunk before, px.
+    """
     draw = partial(mask_runs.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
@@ -156,7 +160,8 @@ def _outline_around(
 
 def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[int, int, int, int]:
     """Compute the region (y0, y1, x0, x1), px, for the distances around a person's box, in whole blocks of `halves`
-    pixels."""
+    pixels.
+    """
     h, w = (side // halves * halves for side in shape)
     margin = max(16 * halves, max(box[1] - box[0], box[3] - box[2]) // 6)
     y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
@@ -189,7 +194,8 @@ def shared_outline(
     count: number of outline points. An outline of zeros is returned where too little of the person is known.
     working_height: a mask taller than this is shrunk before, px; None: it is not shrunk.
     Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
-        to -1e6, because the outline there may be another person's."""
+        to -1e6, because the outline there may be another person's.
+    """
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])
     nothing = _no_outline((2, 2), count, extent, working_height)
@@ -235,7 +241,8 @@ def _halves(extent: int, working_height: int | None) -> int:
 
 def _shrink(mask: Mask, halves: int) -> Mask:
     """Shrink a mask: each block of halves x halves pixels becomes 2 x 2; a pixel is set when at least half of its
-    area is."""
+    area is.
+    """
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
     mask = mask[: h * halves // 2, : w * halves // 2]
     if halves % 2:

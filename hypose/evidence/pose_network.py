@@ -37,7 +37,8 @@ class Crop:
     """Square of a picture in which a person is searched, by two points in px of the picture.
 
     hips: (2,) centre of the hips, which is the centre of the square.
-    top: (2,) point above it on the circle around the whole body."""
+    top: (2,) point above it on the circle around the whole body.
+    """
 
     hips: Array
     top: Array
@@ -119,7 +120,8 @@ class PoseNetwork:
 
     def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Sighting]:
         """Detect the people in a picture (h, w, 3) BGR; number: number of the picture in the video; before: squares
-        in which people are expected."""
+        in which people are expected.
+        """
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
             known = [f.following for f in found if f.following is not None]

@@ -34,7 +34,8 @@ _Views = Callable[[], list[ViewOutline | None] | None]
 @dataclass(frozen=True)
 class _Made:
     """Results kept with silhouettes; views: function that waits for the outlines; stacked, masks: as returned by
-    `outlines`, `prepared_masks`."""
+    `outlines`, `prepared_masks`.
+    """
 
     views: _Views | None = None
     stacked: Outlines | None = None
@@ -53,7 +54,8 @@ def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
     tracking.
 
     views: function that waits for the outlines and returns one per view (None for a view without one), or returns
-        None when no outlines will come. The results are kept as long as the silhouettes."""
+        None when no outlines will come. The results are kept as long as the silhouettes.
+    """
     _keep(silhouettes, _Made(views))
 
 
@@ -84,7 +86,8 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 def make_now(silhouettes: Silhouettes) -> None:
     """Compute the outlines of silhouettes and prepare their masks for the scorer now, and store both with the
-    silhouettes, for masks that are tracked more than once."""
+    silhouettes, for masks that are tracked more than once.
+    """
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
@@ -93,7 +96,8 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
     """Compute the outlines of a frame's usable views, or take them from the cache.
 
     count: points per view.
-    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk."""
+    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk.
+    """
     known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
     if tracking and known.stacked is not None:

@@ -73,7 +73,8 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     expected: (N, K, 3) m.
     found: (C, P, K, 3) candidates of each view.
     limit: upper bound of a distance, m.
-    Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown."""
+    Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
+    """
     uv, metres = views.seen_at(expected)
     e = uv[:, :, None] - found[:, None, :, :, :2]
     e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]

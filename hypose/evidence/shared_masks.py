@@ -56,7 +56,8 @@ class BodyShape:
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
         """Boxes (C, 4) y0, y1, x0, x1, px, half open, around the body in each view's image; empty where the body is
-        not in view."""
+        not in view.
+        """
         uv, size = self._projected[0], self.rig.sizes
         low, high = np.floor(np.fmin.reduce(uv, 2)), np.ceil(np.fmax.reduce(uv, 2)) + 1
         low, high = (np.clip(np.nan_to_num(n), 0, size).astype(np.int64) for n in (low, high))
@@ -105,7 +106,8 @@ class Other:
     """Another person, who may hide the tracked person.
 
     shape: the person's silhouette in each view.
-    widened: width by which the silhouette is widened, as a share of its longer side."""
+    widened: width by which the silhouette is widened, as a share of its longer side.
+    """
 
     shape: StandingShape
     widened: float = PREDICTED_WIDENING
@@ -151,7 +153,8 @@ def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
 
     others: the people whose bodies, widened, cover the pixels.
     Returns: the silhouettes without an expected place of a person, so they are for visual hulls and not for
-        outlines."""
+        outlines.
+    """
     if not others:
         return silhouettes
     ignored = np.zeros_like(silhouettes.masks)

@@ -338,7 +338,8 @@ def with_doubted_limbs(
     names: names of the points.
     height: height of the person, px.
     A limb without its root point is left alone. Returns: the widened band; None where the mask confirms all limbs; a
-    band of ones where most complete limbs lie outside the mask, because the skeleton is then in the wrong place."""
+    band of ones where most complete limbs lie outside the mask, because the skeleton is then in the wrong place.
+    """
     p = np.asarray(points, dtype=np.float64)
     at = {n: p[k] for k, n in enumerate(names) if p[k, 2] > _MIN_CONFIDENCE}
     out = band.copy()
@@ -362,7 +363,8 @@ def with_doubted_limbs(
 
 def _inside(mask: NDArray[np.uint8], line: NDArray[np.float64]) -> float:
     """Compute the share of points along a line (N, 2), px, without its first tenth, that lie in the mask or outside
-    the picture."""
+    the picture.
+    """
     share = np.linspace(0.0, 1.0, 12)[1:, None]
     along = np.concatenate([a + share * (b - a) for a, b in zip(line[:-1], line[1:], strict=True)])
     u, v = np.rint(along).astype(int).T

@@ -122,7 +122,8 @@ def learned_table(
 
 def _chroma_bins(bgr: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Compute bins of brightness (16, of a factor 1.2 to 1.5), red / green and green / blue (40 each) of colours
-    (..., 3)."""
+    (..., 3).
+    """
     c = np.log(np.asarray(bgr, dtype=np.float64) + 4.0)  # + 4: ratios of nearly black pixels are noise
     bright = np.clip((c.mean(-1) - 1.4) / 4.2 * 16, 0, 15)
     red = np.clip((c[..., 2] - c[..., 1] + 0.8) / 2.0 * 40, 0, 39)

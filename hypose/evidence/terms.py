@@ -36,7 +36,8 @@ class Limb(NamedTuple):
     """Description of poses that differ in one limb only; all other joints are as in the last pose.
 
     moving: (J,) true for the joints that turn.
-    rest: silhouettes of the parts that stay, where they are drawn already."""
+    rest: silhouettes of the parts that stay, where they are drawn already.
+    """
 
     moving: NDArray[np.bool_]
     rest: Standing | None = None
@@ -51,7 +52,8 @@ class Evidence:
     """Base class of one cue (kind of evidence) of one frame, prepared once for searches and solves.
 
     views: (C,) views or sensors that carry it; empty where it belongs to none.
-    terms: residuals of the cue for solvers."""
+    terms: residuals of the cue for solvers.
+    """
 
     views: NDArray[np.bool_]
     terms: tuple[Term, ...]
@@ -66,7 +68,8 @@ class Evidence:
         cost 0 to 2.
 
         limb: the only part of the body that differs between the poses; None: any part may differ. The base class
-            returns 0, for cues that a search does not use."""
+            returns 0, for cues that a search does not use.
+        """
         return np.zeros(len(poses))
 
 
@@ -98,7 +101,8 @@ class ContourTerm(Term):
     shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
         the original pixels.
     corners: (C, 2), sdf_sizes: (C, 2): the part of each image that its sdf covers; rows outside cost as at infinite
-        distance."""
+        distance.
+    """
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -266,7 +270,8 @@ def contour_term(
     Raises: EvidenceError where no view is left; views that are not usable, or have no outline away from the image
         border, are left out.
     The Geman-McClure scale is 2.5 px for a person 260 px tall, in proportion (10 px in a 1080p image), in the first
-    iterations twice that."""
+    iterations twice that.
+    """
     made = outlines(silhouettes, outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
@@ -328,7 +333,8 @@ class DepthTerm(Term):
     free_share: weight, per point, of body parts in front of the measured surface.
     scale_m: Geman-McClure scale of a point's distance, m.
     A body part up to SLACK_M (m) in front of the measured surface costs nothing; beyond that, its robust scale is
-    FREE_SCALE_M (m)."""
+    FREE_SCALE_M (m).
+    """
 
     points: Array
     normals: Array

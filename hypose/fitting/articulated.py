@@ -30,7 +30,7 @@ from hypose.compute.arrays import (
     Cues,
     PointArrays,
     PriorArrays,
-    SolveLimits,
+    SolveSettings,
     Workspace,
 )
 from hypose.compute.linear import weighted_squares
@@ -47,25 +47,6 @@ LARGEST_TURN = 0.35
 
 
 @dataclass(frozen=True)
-class SolveSettings:
-    """Settings of the solve of one pose.
-
-    iterations: number of iterations, coarse and fine together.
-    coarse_iterations: number of them, at the start, with the coarse scale of the contours.
-    tolerance: stop when no degree of freedom moves further (rad; for metres half as much).
-    damping: initial damping, relative to the diagonal of the Hessian.
-    tries: number of attempts at a step, each with more damping, before the solve ends (a coarse solve: goes on to the
-        fine one).
-    """
-
-    iterations: int = 8
-    coarse_iterations: int = 4
-    tolerance: float = 1e-3
-    damping: float = 1e-2
-    tries: int = 4
-
-
-@dataclass(frozen=True)
 class PoseFit:
     """Result of the solve of one pose.
 
@@ -75,9 +56,9 @@ class PoseFit:
     hessian: (D, D) Gauss-Newton Hessian of F in the coordinates of `solved`.
     gradient: (D,) of F in the same coordinates.
     iterations: number of iterations.
-    evaluations: number of evaluations of F.
     converged: whether the last step was below the tolerance.
-    rows: number of rows of evidence (0: only the priors determine the pose)."""
+    rows: number of rows of evidence (0: only the priors determine the pose).
+    """
 
     pose: Array
     solved: Array
@@ -85,14 +66,14 @@ class PoseFit:
     hessian: Array
     gradient: Array
     iterations: int
-    evaluations: int
     converged: bool
     rows: int
 
     @cached_property
     def information(self) -> Array:
         """Inverse covariance (D, D) of the pose: the Hessian with the root's rotation as a small turn in the world,
-        which is the same for every branch of its rotation vector."""
+        which is the same for every branch of its rotation vector.
+        """
         return by_turns(self.hessian, self.solved)
 
 
@@ -115,7 +96,8 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
 
     Returns: the arrays; the terms whose residuals are Python functions, which the compiled solve cannot use.
     Raises: InputError where there are two terms of a kind that a frame has once, or a joint is not one of the
-        body's."""
+        body's.
+    """
     once: dict[type[Term], Term] = {}
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
@@ -170,7 +152,8 @@ def fit_poses(
     `fit_pose`.
 
     priors: quadratic costs on the pose; options: settings of the solve.
-    Returns: one result per start, the same for any number of threads."""
+    Returns: one result per start, the same for any number of threads.
+    """
     problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(starts)
 
@@ -212,13 +195,7 @@ class _Problem:
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.settings = SolveLimits(
-            int(options.iterations),
-            int(options.coarse_iterations),
-            float(options.tolerance),
-            float(options.damping),
-            int(options.tries),
-        )
+        self.settings = options
 
     def start(self, start: ArrayLike) -> Array:
         """Check a start pose, and move its root's rotation vector inside +-pi, where the exponential map is far from
@@ -252,14 +229,14 @@ class _Problem:
             out.evaluation.hessian,
             out.evaluation.gradient,
             out.iterations,
-            out.evaluations,
             out.converged,
             int(out.evaluation.counts.sum()),
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
         """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
-        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory."""
+        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+        """
         o = self.settings
         if not self.rows:
             return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
@@ -319,7 +296,8 @@ class FrameProblem(Problem[Array, Evaluation]):
     those of the compiled solve.
 
     evaluation(pose, coarse): cost and derivatives at a pose (D,).
-    lower, upper: (D,) joint limits."""
+    lower, upper: (D,) joint limits.
+    """
 
     def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
         self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
@@ -345,13 +323,14 @@ class FrameProblem(Problem[Array, Evaluation]):
         """Solve from a start pose (D,).
 
         iterations: numbers of coarse and of fine iterations.
-        rule: damping and stopping rule."""
-        found, used, evaluations = None, 0, 0
+        rule: damping and stopping rule.
+        """
+        found, used = None, 0
         q = np.clip(start, self.lower, self.upper)
         for self.coarse, n in zip((True, False), iterations, strict=True):
             if n or not self.coarse:
                 found = self.solve(q, n, rule)
                 q, rule = found.state, replace(rule, damping=found.damping)
-                used, evaluations = used + found.iterations, evaluations + found.evaluations
+                used += found.iterations
         assert found is not None
-        return Solution(q, found.equations, used, evaluations, found.converged)
+        return Solution(q, found.equations, used, found.converged)

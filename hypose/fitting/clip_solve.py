@@ -38,7 +38,8 @@ class Gaussian(Term):
     `off` is the difference (D,) of a pose from the centre: for the root the turn in the world log(R R0'), for other
     balls the turn from there log(R0' R), in the coordinates at the centre.
     Why: the rotation of a stretched arm about its own axis is undetermined. With turns it stays undetermined for any
-    angle; along a straight line of rotation vectors it would move the elbow."""
+    angle; along a straight line of rotation vectors it would move the elbow.
+    """
 
     centre: Array
     information: Array

@@ -98,7 +98,8 @@ class Problem(ABC, Generic[State, Equations]):
         """Propose another state, and how far it is in the units of Rule.moved; None: the equations are not positive
         definite.
 
-        equations: equations of the state; damping: relative to the diagonal of the Hessian."""
+        equations: equations of the state; damping: relative to the diagonal of the Hessian.
+        """
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
         """Descend from a start.
@@ -152,14 +153,16 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
 
         state: shared unknowns and groups' unknowns.
         step: (S,) step of the shared unknowns.
-        own: (N, n) steps of the groups."""
+        own: (N, n) steps of the groups.
+        """
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
     ) -> tuple[tuple[Shared, Array], float] | None:
         """Eliminate the groups, and compute the step from a state; see `Problem`.
 
-        equations: normal equations at the state; damping: relative to the diagonal."""
+        equations: normal equations at the state; damping: relative to the diagonal.
+        """
         reduced = equations.reduced(damping)
         step = reduced.step(self.free)
         if step is None:
@@ -193,7 +196,8 @@ class Rows(NamedTuple):
     residual: (R,) residuals, in the unit of the cue (px, m).
     weight: (R,) weight of the squared residual, the derivative of the loss included.
     view: (R,) camera of the residual.
-    cost: robust cost of all residuals, including those without a row."""
+    cost: robust cost of all residuals, including those without a row.
+    """
 
     carrier: NDArray[np.int64]
     share: Array
@@ -318,7 +322,8 @@ class PoseProblem(SharedProblem[Shared]):
 
     def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
         """Compute the cost of a state from all cues; return it with a function that linearises the cues and makes
-        the normal equations."""
+        the normal equations.
+        """
         shared, q = state
         body = self.body(shared)
         posed = [Posed(body, pose, vertices) for pose, vertices in zip(q, body.skin(q), strict=True)]

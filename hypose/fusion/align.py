@@ -178,7 +178,8 @@ class _Track:
 
     def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
         """Interpolate between the reports k - 1 and k; w: share of the way, 0..1. A joint that one of them lacks is
-        that of the nearer one."""
+        that of the nearer one.
+        """
         (a, before), (b, after) = self.reports[k - 1], self.reports[k]
         both = a + w * (b - a)
         state = np.minimum(before, after)

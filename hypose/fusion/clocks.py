@@ -27,7 +27,8 @@ class SensorClock:
     A message sent at sensor time s arrives at host time a = s + offset + delay with delay >= 0. The offset is therefore
     estimated by the smallest a - s of the last seconds, as in one-way clock filters. The least delay counts as part of
     the offset. A clock that was set shows as several messages in a row that are off by the same amount; a late message
-    or a wrong time stamp does not."""
+    or a wrong time stamp does not.
+    """
 
     def __init__(self) -> None:
         self._smallest: deque[tuple[float, float]] = deque()

@@ -109,7 +109,8 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
     lengths: (18,) m, lengths of joints.SKELETON_BONES, 0 where unknown.
 
     A joint is doubted where the body hides it from the sensor, where the sensor sees the back, where its state is
-    inferred, and where its bone has an unusual length."""
+    inferred, and where its bone has an unusual length.
+    """
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
     away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
@@ -192,7 +193,8 @@ class FitState:
     side: (3,) remembered direction to the person's left, a sum of unit vectors.
     lengths: (18,) m, lengths of joints.SKELETON_BONES.
     samples: (18,) number of samples of each length.
-    fixed: whether the lengths were given and do not adapt."""
+    fixed: whether the lengths were given and do not adapt.
+    """
 
     joints: Array | None
     velocity: Array

@@ -167,7 +167,8 @@ def _check_alike(frame: SensorJoints, first: SensorJoints, number: int) -> None:
 
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     """Compute the time (T,) of each frame of a clip, s: the latest of its sensors; gaps are interpolated, and a clip
-    without any time has 30 frames per second."""
+    without any time has 30 frames per second.
+    """
     times = np.array([np.nanmax(f.times) if np.isfinite(f.times).any() else np.nan for f in joints])
     missing = ~np.isfinite(times)
     if missing.all():

@@ -65,7 +65,8 @@ class JointSet:
     name: name of the set.
     joint_names: (J,) as the SDK writes them.
     common: (15,) index of each common joint in the set.
-    parent: (J,) index of the parent, -1 for the root."""
+    parent: (J,) index of the parent, -1 for the root.
+    """
 
     name: str
     joint_names: tuple[str, ...]

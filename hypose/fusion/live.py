@@ -75,7 +75,8 @@ class LiveFuser:
 
         now: arrival on the host's monotonic clock, s; by default that of the report.
         Returns: False where the report was not used, because it is too late or its time is implausible.
-        Raises: InputError for an unknown joint set, coordinates that are not metres, or too many sensors or persons."""
+        Raises: InputError for an unknown joint set, coordinates that are not metres, or too many sensors or persons.
+        """
         return self.aligner.push(report, now)
 
     def due(self) -> float:

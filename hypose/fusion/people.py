@@ -40,7 +40,8 @@ class PeopleSettings:
     residual: largest median distance of a registration.
     distinct: largest ratio of the score of the best pairing of persons to that of the next best.
     strays: number of instants without a match after which a sensor counts as moved.
-    most: largest number of persons."""
+    most: largest number of persons.
+    """
 
     gate: float = 0.6
     faithful: float = 0.2
@@ -253,7 +254,8 @@ class PeopleTracker:
 
     def _renew(self, p: _Person, now: float) -> None:
         """Update place, velocity and joints of a person from its skeletons of this instant; now: s of the host's
-        clock."""
+        clock.
+        """
         names = list(p.members)
         swapped = [is_swapped(p.placed[n], p.joints) for n in names]
         stacked = np.array([p.placed[n][MIRROR] if s else p.placed[n] for n, s in zip(names, swapped, strict=True)])

@@ -245,6 +245,7 @@ def upright_axes(up: Array) -> Array:
 def alone(sensors: int) -> Registration:
     """Make the registration of K sensors before any person was seen, in which only the first sensor is registered.
 
-    sensors: number K."""
+    sensors: number K.
+    """
     first = np.arange(sensors) == 0
     return Registration(np.tile(np.eye(4), (sensors, 1, 1)), np.where(first, 0.0, np.nan), first)

@@ -107,7 +107,8 @@ class SwarmFrame:
 
 def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypotheses:
     """Move each candidate by the motion of its joint as the candidate's sensor saw it, and add new candidates
-    (immigrants) around the joint of every sensor that sees it."""
+    (immigrants) around the joint of every sensor that sees it.
+    """
     s = frame.settings
     log_weights, origin = h.log_weights, h.origin
     joints = np.arange(len(origin))

@@ -125,6 +125,7 @@ def average_precision(scores: Array, correct: NDArray[np.bool_], positives: int)
     scores: (N,) scores of the detections; a score of 0 is no detection.
     correct: (N,) whether each detection is correct; among equal scores the wrong ones come first.
     positives: number of true gestures.
-    Returns: 0 to 1."""
+    Returns: 0 to 1.
+    """
     precision, recall = precision_recall(scores, correct, positives)
     return float((precision * np.diff(recall, prepend=0.0)).sum())

@@ -137,7 +137,8 @@ def densities(
     lens: lens parameters of the depth camera.
     forest_list: one forest per gesture.
     scratch: memory that is reused in every frame.
-    Raises: InputError where the forests do not fit each other."""
+    Raises: InputError where the forests do not fit each other.
+    """
     s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to search with; train a gesture first.")
@@ -165,7 +166,8 @@ def settle(
     lens: lens parameters of the depth camera.
     scratch: memory of one stream, which holds the density of the last frames.
     Returns: one place per gesture.
-    Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8."""
+    Deviation: alpha is 1 (no memory) unless it is set; `hypose gesture` sets the printed 0.8.
+    """
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
         if s.adaptation_rate < 1:

@@ -144,7 +144,8 @@ class Taught:
 
     learned: number of pixels of the background and of the gesture.
     found: best place of the gesture before learning; None where it was not searched.
-    mined: whether hard negatives were learned at that place."""
+    mined: whether hard negatives were learned at that place.
+    """
 
     learned: tuple[int, int]
     found: Localisation | None

@@ -104,7 +104,8 @@ class Instruction:
     left_s: time left in the phase, s; infinite in the test.
     learn: "gesture": learn the gesture in the box; "negative": learn negatives; None: learn nothing.
     segment: number of the learning segment to which the frame belongs (0 = none).
-    restart: whether the forest must return to its state at the start of the last segment."""
+    restart: whether the forest must return to its state at the start of the last segment.
+    """
 
     phase: Phase
     prompt: str
@@ -206,7 +207,8 @@ class Feedback:
     box: (x, y) px, where the gesture is to be shown.
     taught: what was learned; None: nothing.
     found: best place of the gesture in the frame; None where it was not searched.
-    threshold: current threshold, cm^2; None before it is known."""
+    threshold: current threshold, cm^2; None before it is known.
+    """
 
     instruction: Instruction
     box: tuple[float, float]

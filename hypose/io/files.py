@@ -74,7 +74,8 @@ def readable_size(path: str | Path, kind: str, limit: int) -> int:
     kind: the expected type of file in error messages.
     limit: largest accepted size, bytes.
     Returns: size of the file, bytes.
-    Raises: InputError as `open_file`."""
+    Raises: InputError as `open_file`.
+    """
     with open_file(path, kind, limit) as stream:
         return os.fstat(stream.fileno()).st_size
 
@@ -94,7 +95,8 @@ def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes
 
     kind: the expected type of file in error messages, such as "a TRC file".
     limit, least: largest and smallest accepted size, bytes.
-    Raises: InputError as `open_file`."""
+    Raises: InputError as `open_file`.
+    """
     try:
         with open_file(path, kind, limit, least) as stream:
             return stream.read(limit)
@@ -107,7 +109,8 @@ def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
 
     kind: the expected type of file in error messages.
     limit: largest accepted size, bytes.
-    Raises: InputError as `open_file`, and where the file is not UTF-8."""
+    Raises: InputError as `open_file`, and where the file is not UTF-8.
+    """
     try:
         return read_bytes(path, kind, limit, 0).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError:
@@ -119,7 +122,8 @@ def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list
 
     kind: the expected type of file in error messages.
     limit: largest size of the unpacked text, bytes.
-    Raises: InputError as `bounded_lines`."""
+    Raises: InputError as `bounded_lines`.
+    """
     return list(bounded_lines(path, kind, limit, limit))
 
 
@@ -132,7 +136,8 @@ def csv_rows(
     limit: largest size of the unpacked text, bytes.
     Returns: the cells of the first line, and an iterator over the line number (from 2) and cells of each later line;
         empty lines are skipped.
-    Raises: InputError as `bounded_lines`, and for a line with another number of cells than the first."""
+    Raises: InputError as `bounded_lines`, and for a line with another number of cells than the first.
+    """
     lines = bounded_lines(path, kind, limit)
     names = _cells(next(lines, ""))
 
@@ -180,7 +185,8 @@ def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
 
     kind: the expected type of file in error messages.
     limit: largest accepted size, bytes.
-    Raises: InputError as `open_file`, and for invalid JSON."""
+    Raises: InputError as `open_file`, and for invalid JSON.
+    """
     try:
         return parse_json(read_bytes(path, kind, limit))
     except (ValueError, RecursionError) as error:
@@ -276,7 +282,8 @@ def write_bytes(path: str | Path, data: bytes, synced: bool = True) -> None:
     data: the content.
     synced: wait until the data are on the disk before the file gets its name, so that a power cut cannot leave it
         empty.
-    Raises: InputError where it cannot be written."""
+    Raises: InputError where it cannot be written.
+    """
     with atomic_path(path, synced) as temporary:
         temporary.write_bytes(data)
 

@@ -43,7 +43,8 @@ class Source:
 
     def files(self, *endings: str) -> list[Path]:
         """List the files of a folder whose names have one of the endings, in natural order (cam2 before cam10).
-        Where the source is a file, the list has this file alone."""
+        Where the source is a file, the list has this file alone.
+        """
         if not self.path.is_dir():
             return [self.path]
         found = (p for p in self.path.iterdir() if p.name.lower().endswith(endings) and p.is_file())
@@ -66,7 +67,8 @@ class Format:
     sniff: test whether a source with such a name has this format, by its content.
     write: writer, with the same arguments in a whole table; None where it is only read.
     limits: what the format cannot hold, for the documentation.
-    precision: largest difference between a value that is written and the same value read back, in the value's unit."""
+    precision: largest difference between a value that is written and the same value read back, in the value's unit.
+    """
 
     name: str
     suffixes: tuple[str, ...]

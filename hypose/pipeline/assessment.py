@@ -39,7 +39,8 @@ class Assessment:
 
     word: GOOD, LOOK or UNTRUSTED.
     findings: reasons for it, and remarks.
-    frames: ranges of rows of the motion to review; for a good result, the ranges of rows of low confidence."""
+    frames: ranges of rows of the motion to review; for a good result, the ranges of rows of low confidence.
+    """
 
     word: str
     findings: tuple[Finding, ...] = ()
@@ -141,7 +142,8 @@ def assess(
     cure: next step for the user where too many joints are likely wrong; None: a general one.
     most_lost: share of frames without the person above which the motion is not to be trusted.
     Returns: UNTRUSTED where the person is lost too often, too many joints or a limb are likely wrong, or a finding is
-        INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise."""
+        INVALID; LOOK where a finding is to be reviewed or doubtful frames last long enough; GOOD otherwise.
+    """
     found, gone = list(findings), motion.lost | motion.extrapolated
     looks = any(f.severity == REVIEW for f in findings)
     if gone.mean() > most_lost:

@@ -52,7 +52,8 @@ class OtherMotion:
     times: (T,) s.
     points: (T, 3) m by joint name, NaN where not seen.
     angles: (T,) rad or m by OpenSim's name.
-    notes: sentences on what was left out."""
+    notes: sentences on what was left out.
+    """
 
     path: Path
     times: Array
@@ -175,7 +176,8 @@ class Agreement:
         (1 for angles, 3 for joints), after the rigid alignment, with the constant part.
     r: Pearson's correlation per axis.
     covered: share of frames in which the other lies in our confidence region, per level of SETTINGS.compare_levels,
-        after the constant part; NaN where we have no region."""
+        after the constant part; NaN where we have no region.
+    """
 
     name: str
     unit: str
@@ -204,7 +206,8 @@ class Comparison:
     joints, angles: agreements.
     errors: (T, J) distances of the joints after the constant offset of each joint is removed, mm; NaN where not
         compared.
-    notes: sentences for the user."""
+    notes: sentences for the user.
+    """
 
     times: Array
     offset: float
@@ -571,7 +574,8 @@ def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], T
     recording.
 
     path: file truth.npz.
-    first: frame of the recording that is row 0 of the motion."""
+    first: frame of the recording that is row 0 of the motion.
+    """
     return lambda motion, body: compare_with_truth(path, motion, first)
 
 
@@ -581,7 +585,8 @@ def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Trut
     path: file truth.npz.
     first: frame of the recording that is row 0 of the motion.
 
-    Raises: InputError where the file is no truth of hypose, or the motion has no poses."""
+    Raises: InputError where the file is no truth of hypose, or the motion has no poses.
+    """
     path = Path(path)
     step = "make the recording again"
     data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)

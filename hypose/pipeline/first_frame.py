@@ -87,7 +87,8 @@ class SubjectOptions:
     known: the body is kept, and only the start pose is searched.
     shared: the masks also show other people; then starts of several frames are compared by tracking them through all
         frames.
-    tried: further starts that may be right, each with its frame number."""
+    tried: further starts that may be right, each with its frame number.
+    """
 
     start: str = "auto"
     height: float | None = None
@@ -113,7 +114,8 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
         silhouettes of the first seconds.
     frame_at: function that reads a frame by its number.
     n_frames: number of frames.
-    Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found."""
+    Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found.
+    """
     template = options.body or human()
     sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
     first = frame_at(0)

@@ -39,7 +39,8 @@ def looked_at(
     """Return a frame's estimate with statistics of the views and features of the error model added.
 
     last: the frame before; None: there is none.
-    change: result of `mask_change`, where known from masks of several people; None: it is computed."""
+    change: result of `mask_change`, where known from masks of several people; None: it is computed.
+    """
     seen = view_statistics(estimate, tracker.body, frame, last, change)
     views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
     if views < frame.fewest_views:  # one camera's other poses are judged otherwise
@@ -75,12 +76,13 @@ def view_statistics(
     Column 2: unexplained part of the mask, see `unexplained_share`.
     last: frame before.
     change: column 1 where already known; None: it is computed.
-    Returns: (0, 3) without silhouettes."""
+    Returns: (0, 3) without silhouettes.
+    """
     out, change = np.zeros((0, 3), np.float32), mask_change(frame, last) if change is None else change
     for silhouettes in frame.of(Silhouettes):
         out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
         # an arm's breadth among others is not significant
-        seen = silhouettes.visible_share[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+        seen = silhouettes.visible_share[: len(estimate.overlap)] >= SETTINGS.anomaly_shown
         out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
         for before in pieces_of([last] if last else [], Silhouettes) if change is not None else ():
             out[:, 1] = change
@@ -139,10 +141,10 @@ def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) 
     moved = np.linalg.norm(np.diff(points[..., :2], axis=0, prepend=points[:1, ..., :2]), axis=-1)
     moved = np.where(both, moved, 0.0).sum(-1) / np.maximum(both.sum(-1), 1)
     low, high = (np.where(seen[..., None], points[..., :2], x) for x in (np.inf, -np.inf))
-    size = np.where(seen.sum(-1) >= SETTINGS.doubts_few_points, (high.max(2) - low.min(2)).max(-1), np.nan)
-    change = np.where(both.sum(-1) >= SETTINGS.doubts_few_points, moved / size, np.nan)
+    size = np.where(seen.sum(-1) >= SETTINGS.anomaly_few_points, (high.max(2) - low.min(2)).max(-1), np.nan)
+    change = np.where(both.sum(-1) >= SETTINGS.anomaly_few_points, moved / size, np.nan)
     change[0] = np.nan
-    same = _repeats(change, motion.frame_rate, SETTINGS.doubts_still_points)
+    same = _repeats(change, motion.frame_rate, SETTINGS.anomaly_still_points)
     found = _repeated(same, change, motion.frame_rate, first.rig.names)
     return _marked(motion, [(what, frames) for what, frames in found if frames.any()])
 
@@ -195,7 +197,7 @@ def find_anomalies(
     return [(what, frames) for what, frames in out if frames.any()]
 
 
-def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:
+def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.anomaly_still) -> NDArray[np.bool_]:
     """Find frames (T, C) in which a view repeats the frame before although the person moves. Where nothing changes for
     longer than a second, the usual change of the clip decides.
     """
@@ -228,8 +230,8 @@ def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:
     """
     usual = _local(np.where(change > 0, change, np.nan), frame_rate)
     before = np.concatenate([change[:1], change[:-1]])
-    sudden = ~(change < SETTINGS.doubts_sudden * before)  # the frame before may not be known
-    return (change > SETTINGS.doubts_jump * usual) & (change > usual + SETTINGS.doubts_least_jump) & sudden
+    sudden = ~(change < SETTINGS.anomaly_sudden * before)  # the frame before may not be known
+    return (change > SETTINGS.anomaly_jump * usual) & (change > usual + SETTINGS.anomaly_least_jump) & sudden
 
 
 def _local(values: Array, frame_rate: float) -> Array:
@@ -245,7 +247,7 @@ def _local(values: Array, frame_rate: float) -> Array:
 
 def _during(at: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
     """Fill short gaps between events, and extend them a little, since tracking needs time to recover."""
-    gap = max(1, round(SETTINGS.doubts_after_s * frame_rate))
+    gap = max(1, round(SETTINGS.anomaly_after_s * frame_rate))
     closed = np.asarray(binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap], dtype=bool) | at
     return np.convolve(closed, np.ones(gap + 1))[: len(at)] > 0
 
@@ -256,7 +258,7 @@ def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -
     """
     share = np.where(known[:, None], np.asarray(others, dtype=np.float64), np.nan)
     views = np.isfinite(share).sum(1)
-    at = ((share > SETTINGS.doubts_stranger).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
+    at = ((share > SETTINGS.anomaly_stranger).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
     lasting = binary_opening(at, np.ones(max(2, round(0.2 * frame_rate))))
     gap = max(1, round(frame_rate))
     closed = binary_closing(np.pad(lasting, gap), np.ones(gap + 1))[gap:-gap]
@@ -278,7 +280,7 @@ def _not_back(
     for t in range(1, len(out)):
         if doubted[t] and not (doubted[t - 1] or out[t - 1]):
             good = seen[:t] & ~doubted[:t] & ~out[:t]
-            limit = float(np.median(mean[:t][good])) - SETTINGS.doubts_less if good.sum() >= half else float("nan")
+            limit = float(np.median(mean[:t][good])) - SETTINGS.anomaly_less if good.sum() >= half else float("nan")
         out[t] = smooth[t] < limit and not doubted[t] and (doubted[t - 1] or out[t - 1])
     return out
 
@@ -295,7 +297,7 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
     below = median_filter(np.nan_to_num(usual - values), (max(3, round(0.5 * frame_rate)), 1), mode="nearest")
     others = (below.sum(1, keepdims=True) - below) / (below.shape[1] - 1)
     least = np.maximum(
-        SETTINGS.doubts_worse, SETTINGS.doubts_spread * 1.48 * np.median(np.abs(below - np.median(below, 0)), 0)
+        SETTINGS.anomaly_worse, SETTINGS.anomaly_spread * 1.48 * np.median(np.abs(below - np.median(below, 0)), 0)
     )
     return (below > least) & (below - others > 0.5 * least)
 
@@ -313,7 +315,8 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     audit: (T, J, A) features of the error model.
     n_views: (T,) number of views.
     evidence: kind of evidence; only 'silhouettes' is checked. Why: key points show where limbs are and which view is
-        wrong."""
+        wrong.
+    """
     if evidence != "silhouettes":
         return ()
     found, beyond = list[Finding](), beyond_usual(audit, evidence)

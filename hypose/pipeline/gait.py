@@ -56,7 +56,8 @@ class GaitStep:
     duration: s.
     length, width: between the heels along and across the facing direction, m.
     duration_sd, length_sd, width_sd: standard deviations.
-    double_support: time of the step with both feet on the ground, s; NaN where not known."""
+    double_support: time of the step with both feet on the ground, s; NaN where not known.
+    """
 
     side: str
     time: float
@@ -93,7 +94,8 @@ class Gait:
 
     events: strikes and lifts of the feet, in the order of time.
     steps: steps, in the order of time.
-    figures: mean of each gait parameter over all steps."""
+    figures: mean of each gait parameter over all steps.
+    """
 
     events: tuple[GaitEvent, ...]
     steps: tuple[GaitStep, ...]
@@ -163,7 +165,8 @@ def turns(
     sd: (T,) standard deviation of the series, m.
     rate: Hz.
     known: (T,) frames next to unknown ones give no maximum.
-    Returns: time s, its standard deviation s, and frame of each maximum."""
+    Returns: time s, its standard deviation s, and frame of each maximum.
+    """
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
     from scipy.signal import find_peaks  # takes long to import
 

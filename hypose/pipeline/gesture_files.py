@@ -63,7 +63,8 @@ def content_of(folder: Path) -> str:
     """Compute the hash of a session's first pictures, which identifies the session whatever its folder is called.
 
     folder: folder of the session.
-    Returns: hash as text; "" where there are no pictures."""
+    Returns: hash as text; "" where there are no pictures.
+    """
     pictures = list_images(folder / "depth")[: SETTINGS.gesture_telling] if (folder / "depth").is_dir() else []
     digest = hashlib.sha256()
     for picture in pictures:
@@ -81,7 +82,8 @@ class RecordedFrame:
     phase: phase of the session.
     segment: number of the learning segment.
     gesture: number of the gesture that the person does, 0 for other movement.
-    x, y: pixel at which the gesture is done; negative where not known."""
+    x, y: pixel at which the gesture is done; negative where not known.
+    """
 
     index: int
     time: float
@@ -298,7 +300,8 @@ class SessionWriter:
         depth: (h, w) uint16 mm.
         phase, segment: phase of the session, and number of the learning segment.
         gesture: number of the gesture that the person does, 0 for other movement.
-        at: (x, y) pixel at which the gesture is done; (-1, -1): not known."""
+        at: (x, y) pixel at which the gesture is done; (-1, -1): not known.
+        """
         file = f"depth/{self._count:06d}.png"
         row = f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
         self._settle(SETTINGS.gesture_waiting - 1)

@@ -320,7 +320,8 @@ class RegisteredSensors:
 
     rig: the cameras, all in the world frame of the first one.
     seconds: (C,) to add to each camera's times, s.
-    rough: first, rough alignment of each camera but the first."""
+    rough: first, rough alignment of each camera but the first.
+    """
 
     rig: CameraRig
     seconds: Array

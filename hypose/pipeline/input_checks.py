@@ -83,7 +83,8 @@ def _rows(total: int) -> NDArray[np.int64]:
 def of_measured(stature: float) -> tuple[Finding, ...]:
     """Check whether a height (m) that was measured from masks or depth is plausible for a person.
 
-    Returns: one finding where it is not; empty otherwise."""
+    Returns: one finding where it is not; empty otherwise.
+    """
     return tuple(height_findings(stature, None, Limits()))
 
 

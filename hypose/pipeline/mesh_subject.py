@@ -64,7 +64,8 @@ def subject_from_mesh(
 
     unit: unit of the coordinates: m, dm, cm, mm, in or ft.
     height: stature (arms down), m, to which the person is scaled; None: the unit counts.
-    Returns: the body and its pose in the scan."""
+    Returns: the body and its pose in the scan.
+    """
     subject = rig_mesh(mesh, unit=unit, height=height)
     save_body(subject.body, Path(out) / "body.npz")
     return subject

@@ -152,7 +152,8 @@ def depth_note(motion: Motion, modes: Modes) -> str:
     """Write a note for the user: how uncertain the depth of the joints is, in mm, and how many other poses are
         possible.
 
-    motion, modes: the result, and the alternative poses of its frames."""
+    motion, modes: the result, and the alternative poses of its frames.
+    """
     depth = 1e3 * float(np.nanmedian(modes.depth_sd))
     whole = 3 * np.asarray(motion.joint_sd) ** 2
     across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
@@ -206,7 +207,8 @@ class ColourDetections:
     masks.
     source: frames of the recording.
     body, start: body of the person, and its pose (D,) in the first frame.
-    Raises: InputError where the pictures are grey, or the frames have no masks."""
+    Raises: InputError where the pictures are grey, or the frames have no masks.
+    """
 
     def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -538,7 +540,7 @@ def against_the_picture(share: Array) -> tuple[Finding, ...]:
     return (Finding("picture", (), text, size=float(np.nanmean(share))),)
 
 
-def doubt_of_depth(modes: Modes) -> Finding:
+def depth_is_uncertain(modes: Modes) -> Finding:
     """Make the finding that says how well depth is known, which one picture cannot show."""
     sd = 1e3 * float(np.nanmedian(modes.depth_sd))
     text = (

@@ -36,8 +36,8 @@ from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_ano
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
+    depth_is_uncertain,
     depth_note,
-    doubt_of_depth,
     image_deviation,
     subject_in_picture,
     tracked_frames,
@@ -122,7 +122,8 @@ class ClipState:
     notes: sentences for the user.
     findings: reasons to distrust or review the motion, and remarks.
     places: corrected places of depth cameras.
-    trace: changes that the passes made so far."""
+    trace: changes that the passes made so far.
+    """
 
     source: FrameSource
     frame_rate: float
@@ -212,7 +213,8 @@ Pass = Callable[[ClipState], ClipState]
 def run_pass(step: Pass, clip: ClipState) -> ClipState:
     """Run one pass (a step of the run over the whole clip), and record in the trace which joints it moved.
 
-    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others."""
+    Only passes that have a row in `REASONS` move joints; nothing is recorded for the others.
+    """
     reason, begin = REASONS.get(step.__name__), time.perf_counter()
     before = None if reason is None else clip.joints
     after = step(clip)
@@ -410,7 +412,7 @@ def check_height(clip: ClipState) -> ClipState:
     poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
     reported = measured_height(clip.source.frame, body, poses, iou)
     off = 0.0 if reported is None else abs(reported / asked - 1)
-    if reported is None or off <= SETTINGS.subject_height_doubt:
+    if reported is None or off <= SETTINGS.subject_height_review:
         return clip
     severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
     return clip.with_findings(Finding("height", (), height_sentence(reported, asked), size=off, severity=severity))
@@ -421,7 +423,8 @@ def check_height(clip: ClipState) -> ClipState:
 
 def clips_of_people(clip: ClipState) -> list[ClipState]:
     """Split a clip of several people into one clip per person whose result is wanted; in its frames, the pixels that
-    other people cover are ignored."""
+    other people cover are ignored.
+    """
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
@@ -437,7 +440,8 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
 
 def trace_searches(clip: ClipState) -> ClipState:
     """Record in the trace the frames in which the search moved joints away from the solution that starts at the
-    predicted pose."""
+    predicted pose.
+    """
     estimates = clip.estimates
     if not estimates or any(not len(e.moved) for e in estimates):
         return clip
@@ -546,7 +550,7 @@ def _assess_picture(clip: ClipState) -> ClipState:
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
     motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
-    found = *against_the_picture(deviation), doubt_of_depth(clip.modes)
+    found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
     return replace(clip, motion=motion).with_findings(*found)
 
 
@@ -575,7 +579,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
 
 def mark_absence(clip: ClipState) -> ClipState:
     """Mark the frames in which the person is absent as lost, and the frames in which others hide the person as
-    frames of low confidence."""
+    frames of low confidence.
+    """
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
     if motion is None or not clip.estimates:
         return clip

@@ -73,7 +73,8 @@ class RoughTrack:
 
     body: body that was used.
     poses: pose (D,) by frame number.
-    rivals: other possible starts with their frame numbers."""
+    rivals: other possible starts with their frame numbers.
+    """
 
     body: Body
     poses: Mapping[int, Array]
@@ -87,7 +88,8 @@ class RoughTrack:
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
         """List possible starts of the person: the start in the first of the frames `numbers`, and the rivals.
 
-        Returns: pairs of an index into `numbers` and a start."""
+        Returns: pairs of an index into `numbers` and a start.
+        """
         first = Start(self.body, self.poses[numbers[0]], np.inf)
         near = [(int(np.abs(np.array(numbers) - t).argmin()), s) for t, s in self.rivals]
         return (0, first), *near
@@ -100,7 +102,8 @@ def frame_of_person(
 
     number, who: number of the frame, and index of the person in `paths`.
     rough: rough bodies of the people, which show the pixels that they hide; where one is None, its part of the hull
-        does."""
+        does.
+    """
     s = frame.silhouettes
     if s is None:
         return frame
@@ -295,7 +298,8 @@ class PeopleFinder:
         hide parts of the wanted people.
     wanted: prior knowledge of some people.
     source: frames by number.
-    points: key points sorted by person; None: people are tracked by masks or depth alone."""
+    points: key points sorted by person; None: people are tracked by masks or depth alone.
+    """
 
     source: FrameSource
     frame_rate: float
@@ -451,7 +455,8 @@ class PeopleFinder:
         """Update the tracks after a frame: correct people who were exchanged or found twice, and add people who come
             or return.
 
-        seen: the frame as each person's tracker saw it."""
+        seen: the frame as each person's tracker saw it.
+        """
         people, t = session.people, session.done - 1
         look = t % self._look_every == 0
         if look:

@@ -72,7 +72,8 @@ def follow_places(
     frame_at: function that reads a frame by its number.
     frame_rate: Hz.
     known: function of a frame number that gives the people who are tracked already; parts near them that are too small
-        for a person, such as limbs, are left out."""
+        for a person, such as limbs, are left out.
+    """
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
     paths: list[Path] = []
@@ -177,7 +178,8 @@ def said_of_places(wanted: Sequence[KnownPerson], count: int) -> tuple[str, ...]
 
     wanted: people with their places.
     count: number of people found.
-    Returns: one sentence; none where all places can be used, or one person was found."""
+    Returns: one sentence; none where all places can be used, or one person was found.
+    """
     early = [w for w in wanted if w.early]
     if not early or count < 2:
         return ()
@@ -212,7 +214,8 @@ class KeypointPeople:
 
     def lasting(self, total: int) -> list[int]:
         """List the numbers of the tracks that last at least a certain share of `total` frames
-        (SETTINGS.points_least_share); where none does, the longest one."""
+        (SETTINGS.points_least_share); where none does, the longest one.
+        """
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
@@ -243,7 +246,8 @@ class KeypointPeople:
 class PointFrames:
     """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
 
-    track: number of the track in `points`."""
+    track: number of the track in `points`.
+    """
 
     def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
         self._source, self._points, self._track = source, points, track
@@ -275,5 +279,6 @@ def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Select frames of a motion.
 
     rows: their numbers, or a (T,) mask.
-    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`."""
+    Returns: by name of the field, the selected rows of each array that has one row per frame, for `replace`.
+    """
     return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

@@ -35,7 +35,8 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
 
     Returns: the settings; None: the usual ones of several cameras.
 
-    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs."""
+    Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
+    """
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
     if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
@@ -258,7 +259,8 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
     total: number of frames.
 
     Children below a metre do not count, since objects have their size. A frame with fewer than three usable views does
-    not count, unless there is a depth camera."""
+    not count, unless there is a depth camera.
+    """
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):

@@ -68,7 +68,8 @@ class Refinement:
         without key points.
     left_out_before_px, left_out_after_px: the same from the triangulation of the other views.
     tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames.
-    notes: sentences for the user."""
+    notes: sentences for the user.
+    """
 
     rig: CameraRig
     method: str
@@ -101,7 +102,8 @@ def window(recording: Recording, most: int) -> Recording:
 
 def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
     """Collect the evidence for a check of the calibration from at most `most` consecutive frames: key points as
-    stored, and masks that are made without using the key points."""
+    stored, and masks that are made without using the key points.
+    """
     few = window(recording, most)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
@@ -169,7 +171,8 @@ def raw_person(recording: Recording) -> RecordedPerson | None:
 def cured_recording(recording: Recording, cured: Cured) -> Recording:
     """Correct a recording by the lag (time offsets) and the image shift of views that the check measured.
 
-    Returns: the corrected recording; the files are not changed."""
+    Returns: the corrected recording; the files are not changed.
+    """
     views = [
         replace(v, image_shift=(v.image_shift[0] + float(s[0]), v.image_shift[1] + float(s[1])))
         for v, s in zip(recording.views, cured.shift, strict=True)

@@ -60,7 +60,8 @@ def correct_left_right(
     frames: function that reads the frames of a range.
     sure_start: left and right are known to be right in frame 0, so the frames that follow from it are kept.
     memory: what the recipe has learned about the person.
-    Returns: the corrected estimates, and the ranges of frames that were replaced."""
+    Returns: the corrected estimates, and the ranges of frames that were replaced.
+    """
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
@@ -80,7 +81,8 @@ def retrack_start(
     """Track the first frames backwards from a frame in which the person had been found, and keep the new estimates
     where they explain these frames better.
 
-    Returns: the estimates, and the range of frames that were replaced."""
+    Returns: the estimates, and the range of frames that were replaced.
+    """
     out, pace = list(estimates), pace_of(tracker)
     at = min(round(SETTINGS.sides_found_by * pace), len(out) - 1)
     if at < 1 or tracker.recipe.recover is None:
@@ -100,7 +102,8 @@ def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """Write the note for the user that left and right were corrected.
 
     replaced: ranges of frames that were tracked again.
-    Returns: one sentence; empty where there is no such range."""
+    Returns: one sentence; empty where there is no such range.
+    """
     if not replaced:
         return ()
     return (
@@ -112,7 +115,8 @@ def start_notes(replaced: range) -> tuple[str, ...]:
     """Write the note for the user that the first frames were tracked again.
 
     replaced: range of frames that were tracked again.
-    Returns: one sentence; empty where the range is empty."""
+    Returns: one sentence; empty where the range is empty.
+    """
     return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
@@ -202,14 +206,16 @@ def frames_forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple
 
 def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
     """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
-    backwards."""
+    backwards.
+    """
     for end in range(stop, 0, -SETTINGS.sides_block):
         yield from list(frames(range(max(0, end - SETTINGS.sides_block), end)))[::-1]
 
 
 def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
     """Yield the frames of a sequence that runs backwards in time, each with the frame before it in time (None for
-    the first frame of the clip)."""
+    the first frame of the clip).
+    """
     return ((frame, last) for frame, last in pairwise(chain(backwards, (None,))) if frame is not None)
 
 
@@ -312,7 +318,8 @@ def backward_pass(
     frames: function that reads the frames of a range.
     memory: what the recipe has learned about the person.
     progress: called with frames done, total.
-    Returns: the estimates, and the number of frames in which an arm moved."""
+    Returns: the estimates, and the number of frames in which an arm moved.
+    """
     out = list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
@@ -343,7 +350,8 @@ def backward_pass_notes(moved: int) -> tuple[str, ...]:
     """Write the note for the user that arms were tracked backwards.
 
     moved: number of frames in which an arm moved.
-    Returns: one sentence; empty where no arm moved."""
+    Returns: one sentence; empty where no arm moved.
+    """
     return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
 

@@ -67,7 +67,8 @@ class TrackResult:
         findings.
     name: name of the person; empty where one person was tracked.
     present: (T,) frames in which the person is there; in the others the motion is filled and marked as lost. None: the
-        person is there in all frames."""
+        person is there in all frames.
+    """
 
     motion: Motion
     body: Body
@@ -262,7 +263,8 @@ def track_people(
         for is written into it.
     kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
         (function of stage, done, total), the same as those of `track_source`.
-    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found."""
+    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
+    """
     kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
     if options.of_picture:
         raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")

@@ -52,7 +52,8 @@ class SkeletonRows:
     points: (T, P, 3) m, world, NaN where missing.
     weight: (T, P) weight of each point.
     joint, offset: (P,) and (P, 3) m in the joint's frame: where the points sit on the body.
-    row: row of the arrays by frame index."""
+    row: row of the arrays by frame index.
+    """
 
     points: Array
     weight: Array
@@ -98,7 +99,8 @@ def fuse_mixture(
     progress: function of stage, done, total.
     Returns: the motion; when interrupted early, that of the cameras so far.
     Raises: InputError where the numbers of frames and skeletons differ, or no sensor moves like the person; a single
-        such sensor is left out."""
+        such sensor is left out.
+    """
     made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:

@@ -34,24 +34,24 @@ class PipelineSettings:
         which the masks show more than the body, m^2. Bodies alone had 0.0005 to 0.0019, and 0.0026 in bad masks of
         three views; with a chair, a skirt, a bag or a backpack 0.0034 to 0.009, in a coat 0.0024 to 0.008 (the same
         scenes).
-    doubts_jump, doubts_least_jump, doubts_sudden: A mask jumps where it changes by more than doubts_jump times the
-        usual within a second, by at least doubts_least_jump more than the usual, and by doubts_sudden times the change
-        in the frame before.
-    doubts_worse, doubts_spread: A view disagrees where its overlap, over half a second, is below its usual one by
-        doubts_worse and by doubts_spread times the usual spread, and that of the other views is not half as far below
+    anomaly_jump, anomaly_least_jump, anomaly_sudden: A mask jumps where it changes by more than anomaly_jump times the
+        usual within a second, by at least anomaly_least_jump more than the usual, and by anomaly_sudden times the
+        change in the frame before.
+    anomaly_worse, anomaly_spread: A view disagrees where its overlap, over half a second, is below its usual one by
+        anomaly_worse and by anomaly_spread times the usual spread, and that of the other views is not half as far below
         theirs. Chosen on clean walks (seeds 0 and 3).
-    doubts_stranger: Mask part apart from the body, as a share of the body's area, that counts as another person where
-        it is in two views and in half of all. Chosen, like doubts_less, on walks with and without another person (seeds
-        10 to 13).
-    doubts_less: Decrease of the mean overlap, compared with before a disturbance, from which tracking counts as not
+    anomaly_stranger: Mask part apart from the body, as a share of the body's area, that counts as another person where
+        it is in two views and in half of all. Chosen, like anomaly_less, on walks with and without another person
+        (seeds 10 to 13).
+    anomaly_less: Decrease of the mean overlap, compared with before a disturbance, from which tracking counts as not
         recovered.
-    doubts_still: Usual change of a mask (share of its area) below which unchanged masks are no repeats: the person
+    anomaly_still: Usual change of a mask (share of its area) below which unchanged masks are no repeats: the person
         stands still.
-    doubts_still_points, doubts_few_points: The same for key points, as a share of the person's size, above the rounding
-        of detectors; views with fewer points do not count.
-    doubts_shown: Share of a person that others must leave visible in a view for its overlap to be compared with that of
-        other views. Chosen on people in the same masks (seed 430).
-    doubts_after_s: Doubtful frames nearer to each other than this are joined, s.
+    anomaly_still_points, anomaly_few_points: The same for key points, as a share of the person's size, above the
+        rounding of detectors; views with fewer points do not count.
+    anomaly_shown: Share of a person that others must leave visible in a view for its overlap to be compared with that
+        of other views. Chosen on people in the same masks (seed 430).
+    anomaly_after_s: Marked frames nearer to each other than this are joined, s.
     examine_looks: Frames whose depth maps are checked.
     examine_around: Margin around the key points, as a share of the person's size, in which a mask belongs to the person
         where others are there.
@@ -252,7 +252,7 @@ class PipelineSettings:
         median distance of the key points from the fitted body (1/m^2), since scatter makes lengths uncertain in this
         proportion; and its limits. Chosen on bodies from plain, detector-like and thinned out key points (combo, seeds
         1248 to 1253).
-    subject_height_wrong, subject_height_doubt: Relative difference between the height that masks or depth show and the
+    subject_height_wrong, subject_height_review: Relative difference between the height that masks or depth show and the
         given one from which a motion is not to be trusted, and to be reviewed.
     subject_sure, subject_no_worse: Largest standard deviation of the height's logarithm with which it is used, and
         largest share of the mismatch that may remain. Four people (seeds 50 to 53) with the right height given came out
@@ -296,18 +296,18 @@ class PipelineSettings:
     contradiction_look_apart_m: float = 0.006
     contradiction_wrong_apart_m: float = 0.015
     contradiction_look_more_m2: float = 0.003
-    doubts_jump: float = 1.8
-    doubts_least_jump: float = 0.12
-    doubts_sudden: float = 1.3
-    doubts_worse: float = 0.15
-    doubts_spread: float = 4.0
-    doubts_stranger: float = 0.15
-    doubts_less: float = 0.06
-    doubts_still: float = 0.02
-    doubts_still_points: float = 0.0005
-    doubts_few_points: int = 6
-    doubts_shown: float = 0.75
-    doubts_after_s: float = 0.4
+    anomaly_jump: float = 1.8
+    anomaly_least_jump: float = 0.12
+    anomaly_sudden: float = 1.3
+    anomaly_worse: float = 0.15
+    anomaly_spread: float = 4.0
+    anomaly_stranger: float = 0.15
+    anomaly_less: float = 0.06
+    anomaly_still: float = 0.02
+    anomaly_still_points: float = 0.0005
+    anomaly_few_points: int = 6
+    anomaly_shown: float = 0.75
+    anomaly_after_s: float = 0.4
     examine_looks: int = 12
     examine_around: float = 0.3
     examine_used: int = 17
@@ -502,7 +502,7 @@ class PipelineSettings:
     subject_bones: float = 50.0
     subject_sure_bones: tuple[float, float] = (0.005, 0.05)
     subject_height_wrong: float = 0.12
-    subject_height_doubt: float = 0.07
+    subject_height_review: float = 0.07
     subject_sure: float = 0.03
     subject_no_worse: float = 1.02
     tracked_placed_m: float = 1.0

@@ -38,7 +38,8 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 def no_two_views(frame: Frame) -> str:
     """Write the sentence for the user that says why a body cannot be measured in a frame with too few usable views,
-    and what to do."""
+    and what to do.
+    """
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
@@ -153,7 +154,8 @@ class StartTrial:
     at: number of its frame.
 
     poses: (T, D) tracked poses.
-    costs: (T,) 1 - IoU; NaN where nothing is seen."""
+    costs: (T,) 1 - IoU; NaN where nothing is seen.
+    """
 
     start: Start
     at: int
@@ -241,7 +243,8 @@ def best_ways(
     Raises: EvidenceError where no frame has a visual hull.
 
     Why several frames: a hole in one mask cuts the hull, so other frames are used where the first leaves a doubt. The
-    person's extent is the median height of the hulls."""
+    person's extent is the median height of the hulls.
+    """
     numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
     extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))
     named = poses[0] if len(poses) == 1 else None

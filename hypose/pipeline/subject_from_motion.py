@@ -55,7 +55,8 @@ class AnthropometryOptions:
     seed: seed of random numbers.
     shape: settings of the solver.
     shared: the masks also show other people.
-    tried: further starts that may be right, each with its frame number in the recording."""
+    tried: further starts that may be right, each with its frame number in the recording.
+    """
 
     frames: int = 10
     tracked: int = 36
@@ -350,7 +351,8 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     (fixed seed).
 
     draws: number of shapes.
-    Returns: standard deviation by the name of the size."""
+    Returns: standard deviation by the name of the size.
+    """
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(estimate.covariance)
     light = replace(template, coarse=template.fine)
@@ -367,7 +369,8 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
     poses: (T, D) of `body`.
     iou: (T,) overlap of each pose with the evidence.
     frame_at: function that reads a frame by its number.
-    Returns: height, m; None where the evidence does not determine it."""
+    Returns: height, m; None where the evidence does not determine it.
+    """
     known = np.flatnonzero(np.isfinite(iou))
     if len(known) < 2:
         return None
@@ -391,7 +394,8 @@ def height_sentence(reported: float, given: float) -> str:
     """Write the sentence that the cameras show another height of the person than the given one.
 
     reported: height that the cameras show, m.
-    given: height that the user gave, m."""
+    given: height that the user gave, m.
+    """
     return (
         f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
         "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"

@@ -135,7 +135,8 @@ def track_person(
     body: the subject's own body; None: a body is fitted.
     method: recipe that replaces the recipe of the options.
     own: evidence in addition to that of the frames.
-    kept: further keyword arguments of `track_source`: results, record, resume, progress."""
+    kept: further keyword arguments of `track_source`: results, record, resume, progress.
+    """
     recording = source.recording
     all_people = with_all_people(source, options) if method is None and not own and body is None else None
     if all_people is None:
@@ -239,7 +240,8 @@ def track_one_of(
     command: named in the note that other people are there.
     kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
         (function of stage, done, total), the same as those of `track_source`.
-    Returns: result of the person; not to be trusted where no person was found at the wanted place."""
+    Returns: result of the person; not to be trusted where no person was found at the wanted place.
+    """
     found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
     one, more = found.people[0], found.others
     said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()

@@ -50,7 +50,8 @@ class FrameList:
     """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
     cameras.
 
-    frame_rate: Hz."""
+    frame_rate: Hz.
+    """
 
     frames: Sequence[Frame]
     frame_rate: float = 25.0
@@ -210,7 +211,8 @@ class TrackingSession:
     every: least number of frames between two checkpoints.
     held: progress function for the work of `manager`; an interruption during this work takes effect after the frame.
     candidates: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
-    stopped: whether the user stopped `track`."""
+    stopped: whether the user stopped `track`.
+    """
 
     people: list[TrackedPerson]
     frame_rate: float

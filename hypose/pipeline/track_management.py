@@ -229,7 +229,8 @@ def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
     p: the person.
     own: frame as evidence for one person in the hull, see `candidate_evidence`.
     Returns: the prepared evidence, and the pose (D,).
-    Raises: EvidenceError where the evidence shows no person."""
+    Raises: EvidenceError where the evidence shows no person.
+    """
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
@@ -245,7 +246,8 @@ def returned(
     whose clothes are most
             alike
             and whose body overlaps the masks best.
-    Returns: the person and the pose (D,) now; None: none of them."""
+    Returns: the person and the pose (D,) now; None: none of them.
+    """
     best: tuple[float, TrackedPerson, Array] | None = None
     for p in people:
         if p.member.sure:

@@ -37,7 +37,8 @@ class TrackOptions:
     sure_start: a user confirmed that left and right are the right way round at the start.
     particles: number of hypotheses; None: that of the recipe.
     own: options that only this recipe has, by name (`Preset.make`).
-    Raises: InputError names a value that is not possible."""
+    Raises: InputError names a value that is not possible.
+    """
 
     recipe: Annotated[
         str, Option("Method; with one camera monocular.", choices=RECIPE_NAMES, value="NAME", group=RESEARCH)

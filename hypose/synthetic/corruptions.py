@@ -28,7 +28,8 @@ class Corruptions:
     desync: delay of each camera in frames; the c-th camera is late by desync[c % len], so (0, 1, 0, 2) delays the
         second camera by one frame and the fourth by two.
     calibration_error: relative standard deviation of the error of the calibration; 0.01 changes focal lengths and
-        positions by 1 %."""
+        positions by 1 %.
+    """
 
     occluder: str = ""
     dropped: float = 0.0
@@ -68,7 +69,8 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
     rng: random numbers.
     shape: (h, w).
     cell: size of its waves, px.
-    Returns: (h, w) float32."""
+    Returns: (h, w) float32.
+    """
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)

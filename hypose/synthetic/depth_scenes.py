@@ -86,7 +86,8 @@ def turning(performance: Performance, subject: SyntheticSubject, heading: Array)
     """Turn the person of a performance about the vertical axis of the world, by another angle in each frame.
 
     performance, subject: motion, and body of the person.
-    heading: (T,) angle in each frame, rad."""
+    heading: (T,) angle in each frame, rad.
+    """
     r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
     rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
     root = np.einsum("tab,tb->ta", r, performance.root)
@@ -215,7 +216,8 @@ def sensed(
     pattern: (h, w) m, fixed pattern of the sensor.
     others: number of other sensors that disturb it.
     hair: (h, w) pixels of hair, or None.
-    Returns: (h, w) m, 0 = hole, rounded to millimetres."""
+    Returns: (h, w) m, 0 = hole, rounded to millimetres.
+    """
     z = clean.astype(np.float32)
     h, w = z.shape
     kernel = np.ones((3, 3), np.uint8)

@@ -84,7 +84,8 @@ class HandShape:
     def towards(self, other: HandShape, t: float) -> HandShape:
         """Interpolate between this hand shape and another one.
 
-        t: share of the way, 0 (this shape) to 1 (the other)."""
+        t: share of the way, 0 (this shape) to 1 (the other).
+        """
         u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
         return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
 
@@ -327,7 +328,8 @@ def thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
 
     person, side: the person, and "left" or "right" hand.
     x: rotation vector of the thumb's root (x[:3], rad) and two flexions (x[3:5], rad).
-    Returns: (3, 3, 3)."""
+    Returns: (3, 3, 3).
+    """
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))

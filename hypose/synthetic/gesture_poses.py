@@ -31,7 +31,8 @@ class Keyframe:
     def towards(self, other: Keyframe, t: float) -> Keyframe:
         """Interpolate between this pose and another one.
 
-        t: share of the way, 0 (this pose) to 1 (the other)."""
+        t: share of the way, 0 (this pose) to 1 (the other).
+        """
         return Keyframe(
             (1 - t) * self.angles + t * other.angles,
             _blend(self.left, other.left, t),
@@ -70,7 +71,8 @@ def apply(puppet: Puppet, frame: Keyframe) -> None:
     """Pose the whole person.
 
     puppet: person that is posed; it is changed in place.
-    frame: the pose."""
+    frame: the pose.
+    """
     bend(puppet, frame.angles)
     puppet.reach("left", frame.left)
     puppet.reach("right", frame.right)
@@ -84,7 +86,8 @@ def _angles(rng: np.random.Generator, amount: float) -> Array:
 
 class Doer:
     """Person who performs gestures: the leading hand, and the frame of the chest, in which directions of arms are
-    given."""
+    given.
+    """
 
     def __init__(self, puppet: Puppet, rng: np.random.Generator, leading: str, amount: float) -> None:
         self.puppet, self.rng, self.amount = puppet, rng, amount

@@ -183,7 +183,8 @@ def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -
 
     After the first frame, the caller sends True to the generator where the person is to show the gesture, and False
     where the person is to do anything else.
-    Raises: InputError for an unknown person or gesture."""
+    Raises: InputError for an unknown person or gesture.
+    """
     people = load_people()
     if not 0 <= number < len(people):
         raise InputError(f"There is no simulated person {number}; they have the numbers 0 to {len(people) - 1}.")

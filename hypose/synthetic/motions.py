@@ -513,7 +513,8 @@ def sample_times(duration: float, frame_rate: float) -> Array:
 
 class Take:
     """Random variation of one performance of a motion: factors near 1 and offsets near 0; exactly 1 and 0 without a
-    random generator."""
+    random generator.
+    """
 
     def __init__(self, rng: np.random.Generator | None) -> None:
         self.rng = rng

@@ -70,7 +70,8 @@ class Angles:
     values: (T,) by channel, one of CHANNELS; missing channels are 0.
     stance: positions of planted feet; the legs follow by inverse kinematics, and leg channels are ignored. None: the
         legs follow the channels, and the body travels as far as its feet push it.
-    turn_radius: radius of the circle on which it travels, m (infinite: straight)."""
+    turn_radius: radius of the circle on which it travels, m (infinite: straight).
+    """
 
     name: str
     times: Array
@@ -111,7 +112,8 @@ class Performance:
 
 class OfPerformance:
     """Base class of objects with a `performance`; it gives them the times, frame rate, joints and rotations of this
-    performance."""
+    performance.
+    """
 
     performance: Performance
 

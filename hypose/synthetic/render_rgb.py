@@ -224,7 +224,8 @@ def light_at(time: float, drift: float, phase: Array) -> Array:
     periods of 20 to 90 s.
 
     drift: relative size.
-    phase: (5,) phases of the waves, rad."""
+    phase: (5,) phases of the waves, rad.
+    """
     common = np.sin(2 * np.pi * time / 37.0 + phase[0]) + 0.6 * np.sin(2 * np.pi * time / 90.0 + phase[1])
     color = 0.35 * np.sin(2 * np.pi * time / 23.0 + phase[2:5])
     return 1 + drift * (common + color)
@@ -332,7 +333,8 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
     noise: (h + 64, w + 64, 3) noise picture (`noise_bank`), of which each frame uses another window, mirrored at
         random.
-    Why: for a background model this is as good as new noise, and ten times faster."""
+    Why: for a background model this is as good as new noise, and ten times faster.
+    """
     h, w = picture.shape[:2]
     y, x = rng.integers(0, 65, 2)
     grain = noise[y : y + h, x : x + w]
@@ -353,7 +355,8 @@ def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> ND
     size: (w, h) size of the pictures, px.
     sd: standard deviation, grey levels.
     rng: random numbers.
-    Returns: (h + 64, w + 64, 3) whole grey levels."""
+    Returns: (h + 64, w + 64, 3) whole grey levels.
+    """
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)
 

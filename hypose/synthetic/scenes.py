@@ -99,7 +99,8 @@ def circle(
     azimuths_deg, heights: degrees and m, of each camera.
     focal_px: focal length, px.
     size: (width, height), px.
-    distortion: (5,) distortion of the lens, or None."""
+    distortion: (5,) distortion of the lens, or None.
+    """
     return [
         look_at(
             f"cam{k + 1}",
@@ -181,7 +182,8 @@ class Scene(OfPerformance):
         """Return the frame that camera `view` shows as its frame `index`.
 
         The frame is earlier than `index` by the camera's delay (Corruptions.desync); in place of a dropped frame, it
-        is the last one delivered before."""
+        is the last one delivered before.
+        """
         while index > 0 and self._dropped[view, index]:
             index -= 1
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])

@@ -81,7 +81,8 @@ class SyntheticSubject(Mesh):
 def load_subjects() -> dict[str, SyntheticSubject]:
     """Load the synthetic people that are shipped with the package.
 
-    Returns: dictionary of the people by name."""
+    Returns: dictionary of the people by name.
+    """
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     with file.open("rb") as stream:
         data = dict(np.load(stream, allow_pickle=False))

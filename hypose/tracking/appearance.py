@@ -68,7 +68,8 @@ class AppearanceModel:
     worn: colours from before other people came near.
     lately: colours counted since other people came near.
     looks: number of frames in `lately`.
-    met: names of the people who came near, with the frame in which they were nearest."""
+    met: names of the people who came near, with the frame in which they were nearest.
+    """
 
     worn: Appearance = field(default_factory=no_appearance)
     lately: Appearance = field(default_factory=no_appearance)
@@ -103,7 +104,8 @@ def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
 
     pose: (D,) pose of the person in this frame.
     Returns: counts of the pixels in the mask that show trunk and legs and that no other person covers; all 0 where the
-        frame has no pictures."""
+        frame has no pictures.
+    """
     out = no_appearance()
     for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):
         vertices, (faces, part, _), given = body.skin(pose), part_layout(body), s.informative

@@ -49,7 +49,8 @@ class LookedUp:
     far: least distance from the current arm and from each other.
     ratio: largest energy relative to the current one, before solving.
     most: largest number of rivals per arm.
-    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
+    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same.
+    """
 
     cutoff: float = 0.1
     pool: int = 192
@@ -67,7 +68,8 @@ class Contest:
     apart: arms nearer than this are one hypothesis, m.
     behind: largest amount by which the mismatch of a kept hypothesis may exceed that of the best one, as a share of
         it.
-    softness: score difference that corresponds to a log-weight of 1."""
+    softness: score difference that corresponds to a log-weight of 1.
+    """
 
     memory: float = 0.8
     doubt: float = 0.02
@@ -90,7 +92,8 @@ class RefineRivals:
     near: settings of solves whose start is near the solution.
     with_depth: settings of all solves where there are depth cameras.
     margin: share of the energy that the limb search must gain before its result is solved.
-    look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures."""
+    look: choice of arms from the table; contest: comparison of hypotheses; colours: comparison by pictures.
+    """
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
     keep: int = 3
@@ -139,7 +142,8 @@ class RefineRivals:
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Start solving the rivals of the last frame in the background.
 
-        frame: prepared frame; its `shared` gets the running solves, one per rival."""
+        frame: prepared frame; its `shared` gets the running solves, one per rival.
+        """
         if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
@@ -148,7 +152,8 @@ class RefineRivals:
         """Start the search of the arm tables in the background.
 
         h: hypotheses after the first solve, of which one has the role SOLVED; frame: prepared frame; its `shared`
-            gets the running search."""
+            gets the running search.
+        """
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
@@ -301,7 +306,8 @@ def rival_arms(
     arm: table of the arm; frame: prepared; look: limits of the choice.
     pose: (D,) current pose.
     known: (K, D) poses whose arm is not to be found again (default: `pose`).
-    Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose."""
+    Returns: poses (D,), at most look.most; none where depth cameras show the arm as it is in the pose.
+    """
     body, standing = frame.body, None
     if frame.depth.seen:
         standing = frame.depth.standing(body, pose, arm.moving)

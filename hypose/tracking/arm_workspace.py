@@ -46,7 +46,8 @@ class ArmReach:
     moving: (J,) true for the arm's joints.
     poses: (N, d) values of the coordinates.
     points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m.
-    area: (8,) area that each point stands for, m^2."""
+    area: (8,) area that each point stands for, m^2.
+    """
 
     body: Body
     own: NDArray[np.int64]
@@ -89,7 +90,8 @@ class ArmReach:
             parts that do not move.
         cutoff: points are no longer counted once the score is above it.
         masks: prepared for the scorer.
-        Returns: (N,) scores, exact up to the cutoff."""
+        Returns: (N,) scores, exact up to the cutoff.
+        """
         rotation, centre = self.body.skeleton.forward(pose)
         return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
 
@@ -99,7 +101,8 @@ def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
 
     Returns: lower and upper end of the range, (D,) each.
 
-    Why: poses in the corners of a ball's limits are unnatural."""
+    Why: poses in the corners of a ball's limits are unnatural.
+    """
     lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
     lower[:6] = upper[:6] = 0
     for start in skeleton.ball_starts[1:]:
@@ -115,7 +118,8 @@ def ends(points: Array) -> Array:
 
 def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
     """Compute elbow, wrist and hand (N, A, 3, 3), m, of the arms of one body in poses (N, D), in the frames of the
-    arms' parents."""
+    arms' parents.
+    """
     if not arms:
         return np.zeros((len(poses), 0, 3, 3))
     rotations, centres = arms[0].body.skeleton.forward(poses)
@@ -132,7 +136,8 @@ def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, c
     lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
 
     joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
-    count: number of poses."""
+    count: number of poses.
+    """
     s, side = body.skeleton, joints[0].split("_")[0]
     own = s.dofs_of(*joints)
     a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))

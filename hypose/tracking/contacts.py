@@ -27,7 +27,8 @@ class ContactSettings:
     near: m above the floor that still counts as on it.
     common: share of the contact frames within `near` of one height that makes it a floor.
     drift: m, a point that moves further away begins a new contact.
-    hold: m, standard deviation with which a point in contact is held."""
+    hold: m, standard deviation with which a point in contact is held.
+    """
 
     slow: float = 0.25
     fast: float = 0.5
@@ -67,7 +68,8 @@ class Contacts:
     touching: (T, 4) true where a point of the soles stands on the ground; the points are left heel, left ball, right
         heel and right ball.
     place: (T, 4, 3) where the point stands, m, world; NaN where it is not in contact.
-    floor: common height of the contacts, m; NaN where they have none."""
+    floor: common height of the contacts, m; NaN where they have none.
+    """
 
     touching: NDArray[np.bool_]
     place: Array
@@ -113,7 +115,8 @@ def contact_terms(
     """Build the solver terms that hold the soles at their contacts.
 
     soles: the four points on the body (`soles_of`).
-    Returns: one list of terms per frame; empty where no point is in contact."""
+    Returns: one list of terms per frame; empty where no point is in contact.
+    """
     o = settings or ContactSettings()
     return [
         [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]

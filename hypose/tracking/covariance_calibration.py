@@ -176,7 +176,8 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
     """Look up how contradictions between views widen the standard deviations, for a kind of evidence.
 
     Returns: usual contradiction, m; factor c of joints; factor c of angles, rad / m. Returns (inf, 0, 0) with key
-        points: their solve finds the wrong view and lowers its weight."""
+        points: their solve finds the wrong view and lowers its weight.
+    """
     usual, joints, angles = fitted_spread_table()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
@@ -185,7 +186,8 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
     """Compute by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual, m.
 
     audit: features of the error model, see `joint_features.AUDITED`.
-    evidence: kind of evidence; the result is 0 for kinds whose usual contradiction was not measured."""
+    evidence: kind of evidence; the result is 0 for kinds whose usual contradiction was not measured.
+    """
     return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 
@@ -212,7 +214,8 @@ def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond:
     """Set a motion's calibrated standard deviations of angles, computed from the covariances (T, D, D) of its poses.
 
     evidence: kind of evidence, a key of `fitted_spread_table`.
-    beyond: contradiction between the views, m, see `beyond_usual`."""
+    beyond: contradiction between the views, m, see `beyond_usual`.
+    """
     assert motion.poses is not None
     return with_angle_variance(motion, angle_variance(motion.skeleton, motion.poses, covariance), evidence, beyond)
 

@@ -95,7 +95,8 @@ def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Arra
 
     Returns: (D,) pose; the start pose unchanged where there are no masks.
 
-    model: where key points sit on the body; frame: with key points."""
+    model: where key points sit on the body; frame: with key points.
+    """
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start
 

@@ -36,7 +36,8 @@ def ends_of(body: Body) -> Landmarks:
 
     Hands are put at three quarters of the way to the skin's middle, because a visual hull keeps little of the
     fingers:
-    detected hands lay 10 to 35 mm nearer to the wrist."""
+    detected hands lay 10 to 35 mm nearer to the wrist.
+    """
     s, mesh = body.skeleton, body.fine
     rest, joint, offset = s.rest_joints, [], []
     for name in END_NAMES:
@@ -56,7 +57,8 @@ def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, A
     eq.
     2.19 with the predicted pose. Otherwise wrists and ankles are triangulated from key points in two or more views.
     Returns: dictionary from the index of the end in END_NAMES to its position (3,), m, world; empty where nothing is
-        detected."""
+        detected.
+    """
     found: dict[int, Array] = {}
     for detections in frame.frame.of(Detections):
         unnamed = detections.part == UNNAMED
@@ -89,7 +91,8 @@ class DetectedLimb:
     ball, hinge: index in the pose of the first coordinate of the ball joint, and of the coordinate of the hinge.
     upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) axis of the hinge; in the model frame at rest,
         m.
-    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre)."""
+    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre).
+    """
 
     joint: int
     parent: int
@@ -183,7 +186,8 @@ class DetectorDriven:
         by analytic inverse kinematics. For the head, members take the least step, in units of sigma, that brings it to
         the detection (the gain of a Kalman update). Kinds: half of the members are posed at first; later, where more
         than half of the survivors are of that kind, its share grows by `step`, otherwise it shrinks. Without a
-        detection all members only diffuse and keep their kinds."""
+        detection all members only diffuse and keep their kinds.
+    """
 
     body: Body
     ends: Landmarks
@@ -227,7 +231,8 @@ class DetectorDriven:
     @property
     def sorted(self) -> str:
         """Name of the role that marks members whose kind (posed or diffused) is decided; all members have it after
-        the first detection."""
+        the first detection.
+        """
         return f"{self.limb} sorted"
 
     def _kinds(self, h: Hypotheses, rng: np.random.Generator) -> NDArray[np.bool_]:

@@ -1,5 +1,6 @@
 """Compute the features from which a joint's error probability is estimated: from the audit, nearby frames and the
-clip."""
+clip.
+"""
 
 from __future__ import annotations
 
@@ -119,7 +120,8 @@ def mean_nearby(values: Array, size: int) -> Array:
 
 def _pace(joints: Array, rate: float, size: int) -> Array:
     """Compute the joints' speed (T, J) relative to the pelvis, m/s, averaged over `size` frames; _USUAL_PACE for one
-    frame."""
+    frame.
+    """
     about = joints - joints[:, :1]
     if len(about) < 2:
         return np.full(about.shape[:2], _USUAL_PACE)

@@ -54,7 +54,8 @@ _NEXT: dict[str, tuple[str, ...]] = {
 @cache
 def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
     """Look up the group of each joint by its name; return (J,) indices in GROUPS, the list of joint groups with a
-    model each; unknown names get the last group of the trunk."""
+    model each; unknown names get the last group of the trunk.
+    """
     parts = [name.rpartition("_")[2] for name in names]
     return np.array([next((g for g, own in enumerate(_PARTS) if part in own), TRUNK - 1) for part in parts])
 
@@ -62,7 +63,8 @@ def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
 @cache
 def _nearby(names: tuple[str, ...]) -> Array:
     """Build the matrix (J, J) that averages over each joint's neighbours; a joint without neighbours keeps its own
-    value."""
+    value.
+    """
     out = np.zeros((len(names), len(names)))
     for j, name in enumerate(names):
         side, _, part = name.rpartition("_")
@@ -92,7 +94,8 @@ class ErrorModel:
     def of_joints(self, features: Array, names: tuple[str, ...]) -> Array:
         """Compute the log-odds (T, J) that each joint is wrong, from its own features (T, J, F) alone.
 
-        names: names of the J joints."""
+        names: names of the J joints.
+        """
         z, groups = np.clip((features - self.middle) / self.scale, -6.0, 6.0), groups_of(names)
         weights = self.weights[groups]
         return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
@@ -108,7 +111,8 @@ class ErrorModel:
     def log_odds(self, features: Array, names: tuple[str, ...]) -> Array:
         """Compute the log-odds (T, J) that the joints of one clip are wrong, from their features (T, J, F).
 
-        names: names of the J joints."""
+        names: names of the J joints.
+        """
         odds = self.of_joints(features, names)
         return self.within(odds, names, error_level(odds, names))
 
@@ -148,7 +152,8 @@ def error_level(odds: Array, names: tuple[str, ...]) -> float:
 def error_models() -> Mapping[str, ErrorModel]:
     """Load the fitted error models.
 
-    Returns: dictionary with one model per kind of evidence: "silhouettes", "keypoints", "both" and "depth"."""
+    Returns: dictionary with one model per kind of evidence: "silhouettes", "keypoints", "both" and "depth".
+    """
     kept = json.loads(files("hypose.assets").joinpath("error_model.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/error_model.json was fitted to other features; run scripts/train_error_model.py")

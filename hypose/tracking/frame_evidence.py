@@ -59,7 +59,8 @@ class PreparedFrame:
     rivals: hypotheses of the last frame, each predicted into this frame by its own motion; None: all hypotheses move
         by the same prediction.
     memory: what the recipe has remembered so far.
-    fits: results of solves, by pose; shared: other results that one layer stores for later layers."""
+    fits: results of solves, by pose; shared: other results that one layer stores for later layers.
+    """
 
     frame: Frame
     body: Body
@@ -140,7 +141,8 @@ def prepare(
         tracked before, as in PreparedFrame.
     Raises: EvidenceError where the frame has none of the wanted cues, or its key points are not those of the
         subject.
-    A frame with the picture of one camera is not prepared; only unwanted cues are left out."""
+    A frame with the picture of one camera is not prepared; only unwanted cues are left out.
+    """
     if frame.picture is not None:
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
         seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)
@@ -187,7 +189,8 @@ class SilhouetteXor:
         expected of the whole person where others hide a part; ignored pixels count nowhere).
     All hypotheses have the energy 0 where no view is usable. The energies of depth and of evidence that a user added
     are added to E.
-    Source: Alcoverro 2014, eq. 2.8."""
+    Source: Alcoverro 2014, eq. 2.8.
+    """
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """Compute the energies (N,) of h.values (N, D)."""
@@ -205,7 +208,8 @@ def frame_energy(
     The evidence is silhouettes (eq. 2.8), depth, and evidence that a user added.
     moving: (J,) true for the joints that differ between the poses; all others are as in the last pose and drawn
         once.
-    rest: the parts that do not move, where they are drawn already."""
+    rest: the parts that do not move, where they are drawn already.
+    """
     limb = None if moving is None else Limb(moving, rest)
     return evidence_energy(frame.body, poses, frame.evidence, limb)
 
@@ -237,7 +241,8 @@ def limb_energy(
         do not move; None:
         it is made.
     slack: poses that cost more than this many times the first pose may get an infinite energy.
-    rest_depth: the parts that do not move, as depth cameras see them."""
+    rest_depth: the parts that do not move, as depth cameras see them.
+    """
     body, silhouettes, depth = frame.body, frame.silhouettes, frame.depth
     if not silhouettes.seen or (depth.seen and len(poses) <= MEASURED):
         return frame_energy(poses, frame, moving, rest)
@@ -257,7 +262,8 @@ _IN_LANES = 8
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Compute the mean IoU of a pose with the masks over the views where it is known; 0 where it is known in no
-    view."""
+    view.
+    """
     return _mean_of_known(frame.silhouettes.overlap(body, pose), 0.0)
 
 

@@ -84,7 +84,8 @@ def shift_of_mask(
 
 def apart(shifts: Array) -> float:
     """Compute the root mean square, m, of the shifts (C, 2) of all views; NaN where fewer than two views have a
-    known shift."""
+    known shift.
+    """
     square = (shifts**2).sum(1)
     known = np.isfinite(square)
     return float(np.sqrt(square[known].mean())) if known.sum() > 1 else float("nan")
@@ -131,7 +132,8 @@ def _part_of_joint(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 def views_apart(audit: ArrayLike) -> float:
     """Compute the median contradiction between the views of a clip, m, from its audit (T, J, A); 0 where it is
-    unknown."""
+    unknown.
+    """
     apart = np.asarray(audit, dtype=np.float64)[:, 0, AUDITED.index("apart")]
     apart = apart[np.isfinite(apart)]
     return float(np.median(apart)) if len(apart) else 0.0
@@ -170,7 +172,8 @@ def audit_frame(
     model: where key points sit on the body; None: key points are not used.
     exchanged: gain of the body with exchanged sides, NaN where it was not tried.
     Returns: (J, A) one column per measurement in AUDITED, which lists their names; NaN where the frame has no such
-        evidence."""
+        evidence.
+    """
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     for silhouettes in frame.of(Silhouettes):
@@ -337,7 +340,8 @@ def columns_of_joints(names: tuple[str, ...], points: tuple[str, ...]) -> NDArra
     """Find the key points that belong to each joint.
 
     names, points: names of the J joints and of the key points.
-    Returns: (J, M) indices of the key points of each joint; the rows are filled up with -1."""
+    Returns: (J, M) indices of the key points of each joint; the rows are filled up with -1.
+    """
     own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
     most = max(map(len, own))
     return np.array([[*o, *[-1] * (most - len(o))] for o in own], dtype=np.int64).reshape(len(names), most)

@@ -1,5 +1,6 @@
 """Use 2D key points as evidence of a tracked body: their places on it, their noise, and a detector's usual errors
-(left and right exchanged, another person)."""
+(left and right exchanged, another person).
+"""
 
 from __future__ import annotations
 
@@ -64,7 +65,8 @@ class KeypointModel:
 
     def worse(self, views: int) -> Array:
         """Return the factors (C,) >= 1 by which the noise of each view is larger than usual; 1 where they are
-        unknown, or were measured for another number of views."""
+        unknown, or were measured for another number of views.
+        """
         return self.view if self.view is not None and len(self.view) == views else np.ones(views)
 
 
@@ -119,7 +121,8 @@ def keypoint_term(
 
 def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
     """Reweight the solver term of a frame's key points, for solves that use masks as well, by the cue_weight of the
-    model."""
+    model.
+    """
     if model.cue_weight is None or len(model.cue_weight) != len(term.points):
         return term
     points = term.points.copy()
@@ -134,7 +137,8 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
     expected: (D,) expected pose; reach: largest distance that the person can have moved, m. It is decided by the
         median distance of the triangulated points or, with fewer than four, by the view with the largest median.
         False where nothing is seen, and where two views agree with the expectation (`check_sides_and_views` then
-        handles the others)."""
+        handles the others).
+    """
     points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
     uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
     seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)
@@ -152,7 +156,8 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
 def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
     """Compute the size of a metre, px, in every view (C,) at a world position (3,); at least 1.
 
-    keypoints: key points, of which the cameras are used; position_world: (3,) m."""
+    keypoints: key points, of which the cameras are used; position_world: (3,) m.
+    """
     sizes = []
     for camera in keypoints.rig:
         depth = camera.camera_from_world[2, :3] @ position_world + camera.camera_from_world[2, 3]

@@ -44,7 +44,8 @@ usual."""
 
 def offset_limits(names: Sequence[str]) -> Array:
     """Return the limits (K,), m, of the points' offsets from the body's landmarks: 5 cm joints, 12 cm face, 8 cm
-    feet."""
+    feet.
+    """
     face = ("nose", "eye", "ear", "head")
     foot = ("toe", "heel")
     lower = [n.lower() for n in names]
@@ -53,7 +54,8 @@ def offset_limits(names: Sequence[str]) -> Array:
 
 def leg_weights(names: Sequence[str]) -> Array:
     """Return the weights (K,) of key points in the solves that measure offsets: FEET_WEIGH for points of the feet, 1
-    for all others."""
+    for all others.
+    """
     return np.array([FEET_WEIGH if any(f in n.lower() for f in ("toe", "heel")) else 1.0 for n in names])
 
 
@@ -106,7 +108,8 @@ def solved_frames(
 
     model: where key points sit on the body; keypoints: T frames. Frames without points keep their start pose.
     poses: (T, D) start poses.
-    weights: (K,) factors on the points' weights (default 1)."""
+    weights: (K,) factors on the points' weights (default 1).
+    """
     out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):

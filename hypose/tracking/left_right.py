@@ -81,7 +81,8 @@ def legs_crossed(skeleton: Skeleton, joints: Array) -> Array:
     """Compute how far, m, knees or ankles lie on the other leg's side, along the axis of the hips.
 
     joints: (N, J, 3) m.
-    Returns: (N,) m, positive where the legs are crossed, negative where the legs stand apart."""
+    Returns: (N,) m, positive where the legs are crossed, negative where the legs stand apart.
+    """
 
     def between(part: str) -> Array:
         return joints[:, skeleton.joint(f"left_{part}")] - joints[:, skeleton.joint(f"right_{part}")]

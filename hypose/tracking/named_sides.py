@@ -40,7 +40,8 @@ def exchanged_by_names(
     poses: (T, D) tracked poses.
     limb: "legs" or "arms", see LIMBS.
     sure_start: frame 0 is known to have its sides right.
-    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them."""
+    Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
+    """
     pairs = _pairs(model, LIMBS[limb])
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0

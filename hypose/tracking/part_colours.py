@@ -38,7 +38,8 @@ def pictured_arms(
     arms: tables of the arms; frame: prepared frame; its `memory` holds the colour counts learnt so far; settings:
         settings for colours.
     Returns: the pose (D,) and a term that holds the arms there in a solve; None when no colours are known, or nothing
-        nearby is better."""
+        nearby is better.
+    """
     if known_colours(frame, settings) is None:
         return None
     found = pose
@@ -137,7 +138,8 @@ class KnownColours:
     codes: (C, h, w) colour of each pixel.
     table: (C, P, COLOURS) log-likelihood ratios of each colour, in a part against anywhere on the person.
     masks: masks of the frame; only views with a picture are marked as usable.
-    edges: per view (2, h, w) strength of the colour edges along rows and columns, as `rim_edges` returns it."""
+    edges: per view (2, h, w) strength of the colour edges along rows and columns, as `rim_edges` returns it.
+    """
 
     codes: NDArray[np.uint16]
     table: NDArray[np.float32]
@@ -149,7 +151,8 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
     """Look up the known colours of a frame, cached in its `shared`; None where there is no picture, or nothing was
     learnt.
 
-    frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours."""
+    frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours.
+    """
     if "known colours" not in frame.shared:
         counts, masks, known = frame.memory.get(COUNTS), frame.silhouettes.masks, None
         for colours in frame.frame.of(Colours):
@@ -167,7 +170,8 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     frame: prepared frame; its `memory` holds the colour counts learnt so far; settings: settings for colours.
     Returns: (N,) mean over the views of: the negative log-likelihood ratio (visible part against whole person), summed
         over the pixels and divided by the mask's area; plus the misfit of edges along the rims of arms in front of the
-        body, divided by the square root of that area."""
+        body, divided by the square root of that area.
+    """
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
@@ -263,7 +267,8 @@ def counted_colours(
 
 def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
     """List the faces of the coarse mesh, the part of each (F,), and the arm of each (F,): 0 left, 1 right, -1 no
-    arm."""
+    arm.
+    """
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])
     side = np.array([next((k for k, own in enumerate(_ARMS) if n in own), -1) for n in names])

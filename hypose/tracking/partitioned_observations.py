@@ -32,7 +32,8 @@ class Region:
     joints: (Y,) the joints of the layer; ends: indices of the landmarks at the ends of the layer's body parts.
     half: (3,) half the box's extent along the world's axes about the mean of those points, m (the published, fixed
         form); None: the box that bounds the points.
-    margin: m, added on every side."""
+    margin: m, added on every side.
+    """
 
     joints: NDArray[np.int64]
     ends: NDArray[np.int64]
@@ -72,7 +73,8 @@ def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] =
     """Build a region whose box always bounds the points of a limb in its present pose.
 
     joints, ends: names of joints and landmarks.
-    margin: distance added on every side, m at a stature of 1.75 m."""
+    margin: distance added on every side, m at a stature of 1.75 m.
+    """
     index = np.array([body.skeleton.joint(n) for n in joints])
     marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
     return Region(index, marks, None, margin * body.stature / 1.75)
@@ -104,7 +106,8 @@ def boxes_in_views(box: Array, rig: CameraRig) -> NDArray[np.int64]:
 
 def faces_of_parts(body: Body, joints: tuple[str, ...]) -> NDArray[np.bool_]:
     """Select the triangles (F,) of the coarse mesh that belong to the parts of the named joints, by most of their
-    corners."""
+    corners.
+    """
     wanted = np.isin(body.coarse.main_joint, [body.skeleton.joint(n) for n in joints])
     return np.asarray(wanted[body.coarse.faces].sum(1) >= 2)
 

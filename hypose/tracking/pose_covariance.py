@@ -1,5 +1,6 @@
 """Compute the uncertainty of a frame's pose: from the curvature of the solved cost, or from the spread of a weighted
-set."""
+set.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +46,8 @@ class PoseUncertainty:
         the pull to the prediction, with the root's rotation as a small rotation in the world; for solving whole
         clips.
         Zero: no information.
-    modes: the distinct poses that the frame allows (one row); None for methods without them."""
+    modes: the distinct poses that the frame allows (one row); None for methods without them.
+    """
 
     joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
@@ -90,7 +92,8 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     """Compute the covariances (J, 3, 3) of the joint centres, m^2, at a solved pose (D,).
 
     information: (D, D) inverse covariance of the pose, see `PoseFit.information`.
-    evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR."""
+    evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
+    """
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = body.skeleton.informed_joint_covariances(pose, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
@@ -103,7 +106,8 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
     Why: a joint that a frame hardly shows lies between its places in the neighbouring frames; the bound is their
         covariance plus how far the path may bend in between (NEIGHBOUR_M_S2).
     around: (T, J, 3, 3) covariances computed from each frame by itself, m^2; NaN where a frame has none.
-    Returns: (T, J, 3, 3) m^2."""
+    Returns: (T, J, 3, 3) m^2.
+    """
     given, out = around.astype(np.float64), around.astype(np.float64)
     least = np.trace(out, axis1=2, axis2=3)
     least[np.isnan(least)] = np.inf

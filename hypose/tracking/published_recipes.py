@@ -86,7 +86,8 @@ which do not move in these captures, have the value of the default body.
 
 def frame_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
     """Return the usual change between two frames (D,) at a frame rate (Hz), m and rad: `CAPTURED_MOTION`, scaled by the
-    duration of a frame within 0.4 to 2."""
+    duration of a frame within 0.4 to 2.
+    """
     sigma = np.zeros(skeleton.dof)
     for joint in skeleton.joint_names:
         kind = joint.split("_")[-1]
@@ -193,13 +194,15 @@ def hpf(
 
 def _between_frames(skeleton: Skeleton, sigma: Array) -> Layer:
     """Build the layer that moves all coordinates between two frames by sigma (D,), without weighing (kernel K_t of
-    Algorithms 1, 2 and 5)."""
+    Algorithms 1, 2 and 5).
+    """
     return Layer(diffusion(skeleton, sigma), None, keep, "between frames")
 
 
 def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
     """Build a search kernel that adds Gaussian steps with standard deviations sigma (D,) to poses, inside the joint
-    limits."""
+    limits.
+    """
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper)
 
 
@@ -208,7 +211,8 @@ def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float
 
     layer: index of the layer.
     betas: fixed exponents, one per layer, as in the thesis; None: the exponent is solved for the survival rate.
-    survival: share of the set that survives resampling."""
+    survival: share of the set that survives resampling.
+    """
     return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
 
 

@@ -144,7 +144,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     recovery.
 
     The particles find limbs whose ends are detected; the rivals (alternative arms) find arms whose detection is
-    missing."""
+    missing.
+    """
     base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
     layers = (
         *base.layers,
@@ -156,7 +157,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
 
 def _solving(base: Recipe) -> Recipe:
     """Add to a recipe the solved start, the prediction by the last step, the uncertainty by curvature, recovery and
-    smoothing."""
+    smoothing.
+    """
     return replace(
         base,
         start=settled_start,
@@ -177,7 +179,8 @@ class Preset:
     citation: source of the method.
     whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
     needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
-    evidence: the choices of evidence, the default first."""
+    evidence: the choices of evidence, the default first.
+    """
 
     make: Callable[..., Recipe]
     citation: str
@@ -269,7 +272,8 @@ class LimbSearch:
     lower, upper: (D,) range in which a share `redrawn` of the hypotheses is drawn uniformly.
     long, longer: share of the steps that are lengthened, and the factor by which they are.
     Why: with tens of hypotheses, resampling would leave most of them on values that are known to be worse. Poses that
-        are certainly worse than the first hypothesis are not evaluated in full."""
+        are certainly worse than the first hypothesis are not evaluated in full.
+    """
 
     skeleton: Skeleton
     joints: tuple[str, ...]

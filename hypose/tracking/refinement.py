@@ -46,7 +46,8 @@ def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
     Weights, in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for clavicles and ankles, 0 for
     the root.
     keypoints: the evidence has key points. Then LUMBAR_SD holds the flexion of the spine, because two points at the
-        hips do not determine how the pelvis turns about them, and small errors of theirs turn it far."""
+        hips do not determine how the pelvis turns about them, and small errors of theirs turn it far.
+    """
     weight = _anatomical_weights(skeleton.dof_names).copy()
     if keypoints:
         weight[[n == "spine_rx" for n in skeleton.dof_names]] = LUMBAR_SD**-2
@@ -71,7 +72,8 @@ def prediction_prior(prediction: Array, weight: float) -> Quadratic:
     parts that no view sees keep moving.
 
     The weight must stay small: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian
-        away, whose contour rows together are worth about one unit of cost."""
+        away, whose contour rows together are worth about one unit of cost.
+    """
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
@@ -87,7 +89,8 @@ class ContourRefinement:
 
     Refined are the set's mean, the hypothesis of least energy, and the prediction; the one with the least `mismatch`
     wins. All hypotheses move by its step from the mean and keep their spread; the winner replaces the first one, with
-    the role SOLVED."""
+    the role SOLVED.
+    """
 
     options: SolveSettings = SolveSettings()
 
@@ -114,7 +117,8 @@ class LaterLayer(Protocol):
         """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search of
         limbs.
 
-        h: hypotheses after the first solve; frame: prepared frame; its `shared` gets the result."""
+        h: hypotheses after the first solve; frame: prepared frame; its `shared` gets the result.
+        """
         ...
 
 
@@ -124,7 +128,8 @@ class SolvePrediction:
     a search of single limbs.
 
     One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
-    later: a layer that may run in parallel with this one and the next ones."""
+    later: a layer that may run in parallel with this one and the next ones.
+    """
 
     options: SolveSettings = SolveSettings()
     later: LaterLayer | None = None
@@ -172,7 +177,8 @@ class InTurn:
 
     def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
         """Decide whether a solved pose (D,) overlaps the masks about as well as usual; false where the usual value is
-        unknown."""
+        unknown.
+        """
         if not np.isfinite(frame.usual_iou):
             return False
         return 1 - mean_overlap(frame.body, pose, frame) <= self.unsettled * (1 - frame.usual_iou)
@@ -221,7 +227,8 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
     """Solve from the starts (N, D) independently on a frame's evidence, with anatomical and prediction priors; store
     the results in `frame.fits`.
 
-    Returns: one result per start."""
+    Returns: one result per start.
+    """
     fits = solve_poses(body, starts, frame, options)
     keep_fits(frame, fits, body)
     return fits
@@ -230,7 +237,8 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
 def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
     """Store results of solves in a frame, from which the uncertainty is computed later.
 
-    body: body that was solved; None: the body of the frame."""
+    body: body that was solved; None: the body of the frame.
+    """
     for fit in fits:
         frame.fits.keep(body or frame.body, fit.pose, fit)
 
@@ -243,13 +251,14 @@ def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveS
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth.seen:
-        options = replace(options, tries=min(options.tries, DEPTH_TRIES))
+        options = options._replace(tries=min(options.tries, DEPTH_TRIES))
     return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:
     """Build the estimate by weighted mean pose; rotation vectors are averaged on SO(3), never as raw angles across
-    +-pi."""
+    +-pi.
+    """
     return TangentMean(tuple(int(s) for s in skeleton.ball_starts))
 
 

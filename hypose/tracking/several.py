@@ -64,7 +64,8 @@ def step_together(
     keypoints: key points of each person, already assigned; empty: the frame's key points are not used.
     others: further people who are there but not tracked.
     alone: there is one person, to whom all evidence of the frame belongs, key points too.
-    Returns: the next members, their estimates, and the frame as each person saw it, without what others hide."""
+    Returns: the next members, their estimates, and the frame as each person saw it, without what others hide.
+    """
     if alone:
         steps = [m.tracker.step(m.state, frame) for m in members]
         after = [replace(m, state=state) for m, (state, _) in zip(members, steps, strict=True)]

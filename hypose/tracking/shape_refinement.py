@@ -50,7 +50,8 @@ class Known:
 
     height: stature, m (sd 1 cm).
     mass: mass, kg (sd 6 %, because the mesh is not exactly the body).
-    bones: standard deviation of the bone lengths (_BONES) relative to the given body, as a share."""
+    bones: standard deviation of the bone lengths (_BONES) relative to the given body, as a share.
+    """
 
     height: float | None = None
     mass: float | None = None
@@ -87,7 +88,8 @@ class ShapeFit:
     log_factors: (K,) logarithms of the SHAPE_FACTORS relative to the given body; covariance: (K, K) of them (poses
         marginalised; see EFFECTIVE).
     poses: (F, D) refined poses.
-    cost: cost after the refinement."""
+    cost: cost after the refinement.
+    """
 
     body: Body
     log_factors: Array
@@ -191,7 +193,8 @@ class _ShapeProblem(PoseProblem[Array]):
 
     def prior(self, x: Array) -> tuple[Array, Array, list[Body]]:
         """Compute matrix (K, K) and gradient (K,) of the prior on the shape, and the K bodies with one factor
-        changed by a step."""
+        changed by a step.
+        """
         varied = [self.body(x + self._STEP * e) for e in np.eye(len(x))]
         hessian, gradient = self.precision.copy(), self.precision @ (x - self.mean)
         for at, sd, of in self._measures:

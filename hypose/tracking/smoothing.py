@@ -42,7 +42,8 @@ class ClipSettings:
     acceleration_rad, speed_rad: usual acceleration (rad/s^2) and speed (rad/s) of joint angles.
     window, overlap: frames solved together, and how many are shared by two windows.
     rounds: number of solves of a window, each with the accelerations and speeds measured on the previous solution
-        (`own_pace`)."""
+        (`own_pace`).
+    """
 
     acceleration_m: float = 12.0
     acceleration_rad: float = 60.0
@@ -140,13 +141,13 @@ def smooth_poses(
     settings: ClipSettings | None = None,
     contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
-    """Smooth the poses (T, D) of a clip: solve all frames together from the pose of each frame and its inverse
-        covariance.
+    """Solve the poses (T, D) of a clip from those of its frames and the information on each.
 
     frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     poses: (T, D) pose vectors, rad and m; ignored in frames without evidence.
     information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
-    contacts: terms of points that stand still, one list per frame; None: none."""
+    contacts: points that stand still, per frame.
+    """
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
@@ -177,7 +178,8 @@ def gap_covariance(
     poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
     The covariance grows with the distance from the frames with evidence, because only the coupling to them limits
     it.
-    information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence."""
+    information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
+    """
     settings = settings or ClipSettings()
     weight, slow = pace_weights(usual_pace(body.skeleton, settings), frame_rate)
     out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
@@ -244,7 +246,8 @@ class Clip:
     motion: the estimates as a motion; estimates: one per frame.
     state: after the last frame.
     frames: function (range) that yields frames of the clip again, forwards or backwards.
-    progress: function (done, total)."""
+    progress: function (done, total).
+    """
 
     tracker: Tracker
     motion: Motion
@@ -301,7 +304,8 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
 
     information: (T, D (D + 1) / 2) packed inverse covariance of each frame's pose (`PoseUncertainty.information`).
         Frames in which the person was lost or unseen are bridged: they stay marked, and their sd grows with the
-        distance from the others. Soles that stand are held, and all is solved again."""
+        distance from the others. Soles that stand are held, and all is solved again.
+    """
     assert motion.poses is not None
     settings, rate = settings or ClipSettings(), motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))

@@ -53,7 +53,8 @@ _BRIEF = SolveSettings(iterations=8, coarse_iterations=8)
 @dataclass(frozen=True)
 class Start:
     """Start of a track: a body of some size, its pose (D,), and its cost (`mask_cost`, `strain` and a penalty of odd
-    sizes)."""
+    sizes).
+    """
 
     body: Body
     pose: Array

@@ -118,22 +118,20 @@ def _root_guesses(
     return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
 
 
-def start_in_pose(
-    body: Body, frame: PreparedFrame, names: Sequence[str], headings: int = 16, options: SolveSettings | None = None
-) -> PoseFit:
+def start_in_pose(body: Body, frame: PreparedFrame, names: Sequence[str]) -> PoseFit:
     """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
 
-    frame: prepared, with masks; options: settings of the last solves (default: SETTLING).
-    names: known poses to try; headings: number of headings.
+    frame: prepared, with masks; names: known poses to try, each in 16 headings.
     Raises: EvidenceError where the views have no common hull.
-    Source: Alcoverro 2014, section 2.3.3 step 1."""
+    Source: Alcoverro 2014, section 2.3.3 step 1.
+    """
     hull = hull_of(frame)
     candidates = [
         _centred(body, turn_pose(known_pose(body, name), heading), hull)
         for name in names
-        for heading in np.arange(headings) * 2 * np.pi / headings
+        for heading in np.arange(16) * np.pi / 8
     ]
-    return _best_refined(body, np.stack(candidates), frame, options or SETTLING)
+    return _best_refined(body, np.stack(candidates), frame)
 
 
 def turn_pose(pose: Array, heading: float) -> Array:
@@ -143,6 +141,8 @@ def turn_pose(pose: Array, heading: float) -> Array:
     return out
 
 
+_TRIED, _KEPT = 16, 4
+"""numbers of poses that are solved in the first and in the second round of a search"""
 RECOVERY_REACH = 1.3
 """m: how far from the last pose a lost person is searched for; further away it is another person."""
 
@@ -163,7 +163,7 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
             candidates.append(_centred(body, turn_pose(base, heading), hull))
-    found = _best_refined(body, np.stack(candidates), frame, SETTLING).pose
+    found = _best_refined(body, np.stack(candidates), frame).pose
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 
 
@@ -194,19 +194,16 @@ def _centred(body: Body, pose: Array, hull: Hull) -> Array:
     return out
 
 
-def _best_refined(
-    body: Body, candidates: Array, frame: PreparedFrame, options: SolveSettings, tried: int = 16, keep: int = 4
-) -> PoseFit:
+def _best_refined(body: Body, candidates: Array, frame: PreparedFrame) -> PoseFit:
     """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
 
-    frame: prepared; options: settings of the last solves; tried, keep: numbers of poses in the first and the second
-        round.
-    The `tried` best are solved briefly, the `keep` best of these at length. Why: a wrong heading may overlap better
+    frame: prepared.
+    The _TRIED best are solved briefly, the _KEPT best of these at length. Why: a wrong heading may overlap better
     than the right one until the limbs have moved.
     """
-    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:tried]
+    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_TRIED]
     brief = SolveSettings(iterations=8, coarse_iterations=8)
     moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
-    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:keep]
-    fits = refine(body, moved[order], frame, options)
+    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:_KEPT]
+    fits = refine(body, moved[order], frame, SETTLING)
     return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame.evidence)))]

@@ -165,7 +165,8 @@ _UNLIKE = 1.25
 
 def _of_sides(left: tuple[float, float], right: tuple[float, float]) -> float:
     """Average the factors of the left and right bone, where seen; where they differ much, take the one that varies
-    less."""
+    less.
+    """
     seen = [side for side in (left, right) if np.isfinite(side[0])]
     if len(seen) == 2 and max(seen)[0] > _UNLIKE * min(seen)[0]:
         return min(seen, key=lambda side: side[1])[0]

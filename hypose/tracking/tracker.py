@@ -60,7 +60,8 @@ class TrackerSettings:
     contour_weight: weight of one residual of a contour.
     keypoint_scale_px: noise of key points where it is not measured, px.
     extrapolate: s without evidence after which the person counts as lost.
-    rival_every: s between two searches for a rival pose (left and right exchanged)."""
+    rival_every: s between two searches for a rival pose (left and right exchanged).
+    """
 
     evidence: str = "silhouettes"
     seed: int = 0
@@ -90,7 +91,8 @@ class FrameEstimate:
     rivals: (K, D), rival_weights: (K,) other poses that the evidence allows, as in `Motion`.
     origin: role of the best hypothesis, RECOVERED, or empty where the first solve was the best.
     moved: (J,) distance by which the search moved each joint from the first solve, or the recovery moved it from the
-        lost pose, m; (0,) unknown."""
+        lost pose, m; (0,) unknown.
+    """
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -123,7 +125,8 @@ class TrackerState:
     joint_covariance: (J, 3, 3) covariance of each joint centre, m^2.
     usual_iou: running mean of the IoU while not lost; NaN before the first.
     blind: number of frames since the last evidence; lost: the person was lost in the last frame.
-    memory: additional state of the recipe."""
+    memory: additional state of the recipe.
+    """
 
     frames: int
     hypotheses: Hypotheses
@@ -182,7 +185,8 @@ class Tracker:
     body: the person's body; recipe: the method; settings: settings of the tracker.
     keypoints_on_body: where key points sit on the body.
     own: additional evidence that a user defined.
-    Raises: InputError where the recipe needs evidence that the settings leave out."""
+    Raises: InputError where the recipe needs evidence that the settings leave out.
+    """
 
     body: Body
     recipe: Recipe
@@ -335,7 +339,8 @@ class Tracker:
 
     def rival(self, pose: Array, frame: Frame) -> Array:
         """Find the best pose (D,) from which to continue in a frame: the given pose, the body with left and right
-        exchanged, or the pose that the recovery finds."""
+        exchanged, or the pose that the recovery finds.
+        """
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or not prepared.silhouettes.seen:
             return pose
@@ -393,7 +398,8 @@ class Tracker:
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         """Put the rotation vectors of the state on the canonical branch of its pose; unchanged for recipes that do not
-        predict."""
+        predict.
+        """
         s = self.body.skeleton
         if self.recipe.predict is None:
             return state  # a velocity belongs to the branch that it was seen on
@@ -437,7 +443,8 @@ class Tracker:
 
     def _is_lost(self, iou: float, usual: float) -> bool:
         """Decide whether an IoU is too low for the person to be there, given the usual IoU (NaN: unknown); false for a
-        NaN."""
+        NaN.
+        """
         if not np.isfinite(iou):
             return False  # key points alone: nothing to judge the silhouette by
         floor = (
@@ -449,7 +456,8 @@ class Tracker:
 
     def _no_person(self, iou: float, usual: float) -> bool:
         """Decide whether an IoU is so low that the masks show no person at the place, given the usual IoU (NaN:
-        unknown)."""
+        unknown).
+        """
         return bool(iou < _NO_PERSON * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(

@@ -248,7 +248,8 @@ def tell_untrusted(results: Path) -> None:
     """Print a warning line if the assessment of a result (a folder, or its motion.npz) says that it is not to be
     trusted.
 
-    Nothing is printed where the assessment is missing or unreadable."""
+    Nothing is printed where the assessment is missing or unreadable.
+    """
     from hypose.pipeline.assessment import UNTRUSTED, load_assessment
 
     folder = results if results.is_dir() else results.parent

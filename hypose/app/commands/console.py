@@ -249,7 +249,8 @@ def ended_by_signals(ended: threading.Event) -> Iterator[None]:
     """Set an event at Ctrl-C, SIGTERM and a closed terminal inside the context, instead of interrupting the program.
 
     ended: event that is set.
-    Why: the program finishes its work in order. Under nohup a closed terminal changes nothing."""
+    Why: the program finishes its work in order. Under nohup a closed terminal changes nothing.
+    """
     hung_up = getattr(signal, "SIGHUP", None)
     numbers = [signal.SIGINT, signal.SIGTERM]
     if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # under nohup it continues

@@ -314,7 +314,8 @@ def write_findings(path: Path, found: Findings, report: PersonReport | None) -> 
     path: file to write.
 
     found: result of `check_recording`.
-    report: result of `examine_recording`; None without one."""
+    report: result of `examine_recording`; None without one.
+    """
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),
         "facts": found.facts,

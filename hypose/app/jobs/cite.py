@@ -133,7 +133,8 @@ def papers_of(name: str) -> tuple[str, ...]:
 def formatted_papers(keys: Sequence[str], bibtex: bool) -> str:
     """Format works (papers) as a list of references, one per line, or as BibTeX.
 
-    keys: keys of the works."""
+    keys: keys of the works.
+    """
     out = []
     for key in keys:
         kind, fields = PAPERS[key]

@@ -83,7 +83,8 @@ def exceeded(
 
     mm: largest RMSE of all joints, mm, each without its constant offset.
     degrees: largest RMSE of an angle without its constant offset.
-    coverage: least share inside our 90 % regions, mean over the joints."""
+    coverage: least share inside our 90 % regions, mean over the joints.
+    """
     out = []
     for _, other, found in compared:
         rmse = found.left_mm[2]
@@ -105,7 +106,8 @@ def mean_coverage(found: Comparison) -> float:
     """Compute how often the other motion lies in our 90 % confidence regions: the share of the frames, mean over the
     joints.
 
-    Returns: 0 to 1; NaN where our motion has no regions."""
+    Returns: 0 to 1; NaN where our motion has no regions.
+    """
     shares = [a.covered[SETTINGS.compare_levels.index(0.9)] for a in found.joints]
     known = [s for s in shares if np.isfinite(s)]
     return float(np.mean(known)) if known else float("nan")

@@ -50,7 +50,8 @@ class Correction:
     pose: (D,) corrected pose, rad and m.
     name: name of the saved clicks.
     since: first frame to track again, backwards from `frame`; None: `frame`.
-    until: frame after the last to track again; None: the end of the recording."""
+    until: frame after the last to track again; None: the end of the recording.
+    """
 
     frame: int
     pose: Array

@@ -67,7 +67,8 @@ class PersonResult:
 
     motion: fused motion, in a world with z up.
     files: files that were written.
-    assessment: assessment of the motion."""
+    assessment: assessment of the motion.
+    """
 
     motion: Motion
     files: tuple[Path, ...]

@@ -92,7 +92,8 @@ def replaced_model(path: Path, gesture: str, say: _Say) -> None:
     """Tell the user, before anything is learned, that an existing model file will be replaced; nothing where it does
     not exist.
 
-    Raises: InputError where the file is of another gesture, or no model."""
+    Raises: InputError where the file is of another gesture, or no model.
+    """
     try:
         old = load_model(path)
     except InputError:
@@ -259,7 +260,8 @@ class Watched:
 
     time: s.
     found: best place of each gesture.
-    events: gestures that start or end in this frame."""
+    events: gestures that start or end in this frame.
+    """
 
     time: float
     found: list[Localisation]
@@ -321,7 +323,8 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
     """Return the threshold of every gesture, cm^2.
 
     given: threshold that replaces those of all models; None: each model's own threshold is used.
-    Raises: InputError names the gesture that has none."""
+    Raises: InputError names the gesture that has none.
+    """
     out = [m.threshold if given is None else given for m in models]
     for m, value in zip(models, out, strict=True):
         if value is None or value <= 0:

@@ -227,7 +227,8 @@ def compile_before(progress: ProgressCall, *parts: str) -> None:
     """Compile the kernels (compiled functions) that a run needs, before it starts.
 
     progress: function (stage, done, total).
-    parts: names of kernel groups; without any, all groups that tracking needs."""
+    parts: names of kernel groups; without any, all groups that tracking needs.
+    """
     warm_up(*parts, load=False, progress=lambda done, total: progress("compile", done, total))
 
 
@@ -447,7 +448,8 @@ def worst_assessment(people: Sequence[TrackResult], absent: str = "") -> Assessm
     """Combine the assessments of several people: the worst word, with the sentences and frames of the people who
     have it.
 
-    absent: sentence that the person who was asked for was not found; then the results are not to be trusted."""
+    absent: sentence that the person who was asked for was not found; then the results are not to be trusted.
+    """
     if absent:
         return Assessment(UNTRUSTED, (Finding("absent", (), absent),))
     assessments = {p.name: p.assessment for p in people}

@@ -115,7 +115,8 @@ def detect(
 
     target: folder to write to.
     frames: frames of the recording to detect; None: all.
-    resume: skip frames that have a file."""
+    resume: skip frames that have a file.
+    """
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         progress = stack.enter_context(Stages())

@@ -30,7 +30,8 @@ class Taken:
 
     time: s.
     depth: (h, w) uint16 mm.
-    box: (x, y) px where the gesture is done, if the source provides it."""
+    box: (x, y) px where the gesture is done, if the source provides it.
+    """
 
     time: float
     depth: DepthImage
@@ -48,7 +49,8 @@ class GestureSource:
         which only a simulated person follows.
     close: function that releases the device.
     clear: function that returns whether the last picture clearly shows the gesture, or clearly does not; False where
-        the source does not provide it."""
+        the source does not provide it.
+    """
 
     name: str
     lens: DepthLens

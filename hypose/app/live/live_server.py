@@ -57,7 +57,8 @@ class FusionServerOptions:
     lines_per_s, burst: limits of received lines.
     clients: most WebSocket connections.
     waiting: messages kept for a slow listener.
-    Raises: InputError where the token has an invalid form."""
+    Raises: InputError where the token has an invalid form.
+    """
 
     host: str = "127.0.0.1"
     udp: int | None = 9870

@@ -43,7 +43,8 @@ def people_osc(
     number: number of the frame.
     time, latency: s.
     people: per person the identifier, names of joints (J), joints (J, 3) m, sd (J) m.
-    there: number of people who are not lost."""
+    there: number of people who are not lost.
+    """
     out = [osc_message("/hypose/frame", number & 0x7FFFFFFF, time, 1000.0 * latency, there, types="idfi")]
     for who, names, joints, sd in people:
         rows = zip(names, joints.tolist(), sd.tolist(), strict=True)

@@ -24,7 +24,8 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     """Encode one pose as a line of JSON.
 
     latency: time since the arrival of the last picture, s.
-    cameras: names of the cameras."""
+    cameras: names of the cameras.
+    """
     m = pose.motion
     assert m.error_probability is not None and m.low_confidence_joints is not None
     names = np.array(m.skeleton.joint_names)
@@ -53,7 +54,8 @@ class PoseOutputs:
     ws: port on this computer, with /out for JSON.
     udp, osc, vmc: HOST:PORT of the receivers of JSON lines, OSC and VMC; None: not sent.
     clock: time (s) on which the arrival of pictures is measured.
-    Raises: InputError where a port or address cannot be used."""
+    Raises: InputError where a port or address cannot be used.
+    """
 
     def __init__(
         self,

@@ -100,7 +100,8 @@ class SocketServer:
 
     Attributes:
     queues: of the listeners.
-    dropped: number of lost items."""
+    dropped: number of lost items.
+    """
 
     def __init__(
         self,
@@ -232,7 +233,8 @@ class SocketListeners:
 
     Attributes:
     port: number of the port.
-    server: the server, which belongs to the thread."""
+    server: the server, which belongs to the thread.
+    """
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
         self._loop = asyncio.new_event_loop()

@@ -53,7 +53,8 @@ class Axes:
         x, y: (N,) in the units of the axes.
         label: text in the legend; "": none.
         width: px.
-        dashes: pattern of a dashed line as in SVG; "": solid."""
+        dashes: pattern of a dashed line as in SVG; "": solid.
+        """
         look = f'fill="none" stroke="{colour}" stroke-width="{width}"'
         self._add("line", x, y, look + (f' stroke-dasharray="{dashes}"' if dashes else ""), label, colour)
 
@@ -78,7 +79,8 @@ class Axes:
         """Tint a part of the x axis over the whole height.
 
         begin, end: in the units of the x axis.
-        label: text in the legend."""
+        label: text in the legend.
+        """
         self._add("stretch", np.array([begin, end]), np.full(2, np.nan), f'fill="{colour}"', label, colour)
 
     def _add(self, kind: str, x: Array, y: Array, look: str, label: str = "", colour: str = "") -> None:

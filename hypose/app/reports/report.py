@@ -85,7 +85,8 @@ def report_html(result: ViewResult, drawn: OverlayRows | None = None) -> str:
     """Build the HTML of a result's report: title and figures, the 3D viewer where it was built, and below it the
     parts that need no script.
 
-    drawn: pictures; None: none."""
+    drawn: pictures; None: none.
+    """
     drawn = drawn or OverlayRows()
     top, text = _head(result) + _cards(result), _text(result, drawn)
     if not _built():

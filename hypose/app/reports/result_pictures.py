@@ -389,7 +389,8 @@ class OverlayRows:
     """Pictures that were drawn for a report, by row of the motion.
 
     stills: close-ups.
-    small: the recorded picture of every view as JPEG, b"" where there is none."""
+    small: the recorded picture of every view as JPEG, b"" where there is none.
+    """
 
     stills: dict[int, Image] = field(default_factory=dict)
     small: dict[int, list[bytes]] = field(default_factory=dict)

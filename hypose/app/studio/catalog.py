@@ -43,7 +43,8 @@ class Item:
     kind: kind of the item.
     id: opaque id.
     path: its path inside the root, with links resolved.
-    changed: time of the last change, s."""
+    changed: time of the last change, s.
+    """
 
     kind: Kind
     id: str

@@ -361,7 +361,8 @@ def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Record
     item: the recording.
     catalog, recordings: items and open recordings of the studio.
     Returns: the saved document.
-    Raises: InputError where a value cannot be used."""
+    Raises: InputError where a value cannot be used.
+    """
     name, starts = value.get("name") or f"frame-{value.get('frame')}", item.path / "starts"
     if not isinstance(name, str) or not is_name(name):
         raise InputError("Give the start a name of letters, digits, - and _.")

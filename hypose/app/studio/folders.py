@@ -38,7 +38,8 @@ def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     catalog: items of the served folder.
     within: whether to list the files in and below the folder too.
     Returns: JSON values with the subfolders and, with `within`, the files that can be part of a recording, each with
-        relative path and kind."""
+        relative path and kind.
+    """
     entries = _entries(folder)
     found = list(_usable(entries, _DEPTH)) if within else []
     facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]

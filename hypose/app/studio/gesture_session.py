@@ -54,7 +54,8 @@ def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureS
     where: simulated:PERSON, session:ID or realsense. Why no others: a page must not open paths.
     gesture, seed: gesture and seed of a simulated person.
     catalog: items of the served folder, among them the sessions.
-    Raises: InputError for other sources."""
+    Raises: InputError for other sources.
+    """
     kind, _, rest = where.partition(":")
     if kind == "simulated":
         person = digits(rest or "0", "the simulated person's number")

@@ -380,7 +380,8 @@ class Watching:
         taken: the picture.
         controls: settings of the page.
         commands: not used.
-        fresh: False: the picture was processed before."""
+        fresh: False: the picture was processed before.
+        """
         for c in commands:
             self.paused = c == "pause" if c in ("pause", "continue") else self.paused
         began = clock.perf_counter()

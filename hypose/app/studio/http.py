@@ -122,7 +122,8 @@ def object_of(data: str | bytes | bytearray, what: str) -> dict[str, Any]:
     """Parse the JSON object of a message or request, of limited depth.
 
     what: name of the object, for the message.
-    Raises: InputError where the data are no JSON object."""
+    Raises: InputError where the data are no JSON object.
+    """
     try:
         value = parse_json(data)
     except (ValueError, RecursionError):
@@ -149,7 +150,8 @@ def request_number(value: Any, what: str, low: float, high: float) -> float:
     value: value of the request.
     what: name of the value, for the message.
     low, high: least and largest value.
-    Raises: InputError where it is no number from low to high."""
+    Raises: InputError where it is no number from low to high.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
     if not low <= value <= high:  # NaN is neither
@@ -163,7 +165,8 @@ def whole(value: Any, what: str, low: int, high: int) -> int:
     value: value of the request.
     what: name of the value, for the message.
     low, high: least and largest value.
-    Raises: InputError where it is no whole number from low to high."""
+    Raises: InputError where it is no whole number from low to high.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise InputError(f"{_capital(what)} cannot be {_short(value)}; give a whole number from {low} to {high}.")
     return value
@@ -176,7 +179,8 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
     what: name of the value, for the message.
     longest: most letters.
     advice: next step for the user where it is missing.
-    Raises: InputError where it is empty, too long or no text."""
+    Raises: InputError where it is empty, too long or no text.
+    """
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
     if len(value) > longest:
@@ -190,7 +194,8 @@ def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
     value: value of the request.
     what: name of the value, for the message.
     allowed: words of which it must be one.
-    Raises: InputError lists the allowed words."""
+    Raises: InputError lists the allowed words.
+    """
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
         raise InputError(f"There is no {what} {_short(value)}; choose {words}.")
@@ -202,7 +207,8 @@ def digits(value: str, what: str) -> int:
 
     value: the text.
     what: name of the value, for the message.
-    Raises: InputError where it is no such number."""
+    Raises: InputError where it is no such number.
+    """
     if not value.isascii() or not value.isdigit() or len(value) > 9:
         raise InputError(f"{_capital(what)} must be a whole number, {_short(value)} is none.")
     return int(value)
@@ -235,9 +241,10 @@ page.
 
 
 class Guard:
-    """ASGI application that wraps another one and refuses foreign requests before they reach it.
+    """Application that refuses foreign requests before any other code sees them.
 
-    token: "" where the server listens on this computer only."""
+    token: "" where the server listens on this computer only.
+    """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token

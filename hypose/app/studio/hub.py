@@ -33,7 +33,8 @@ Message = Mapping[str, Any]
 
 class Topic:
     """Topic that pages listen and send messages to. All methods are called in the server's event loop; name: name of
-    the topic, a part of the address."""
+    the topic, a part of the address.
+    """
 
     name = ""
 
@@ -51,7 +52,8 @@ class Topic:
 
 class Hub:
     """WebSocket connections of a server with the pages that listen to its topics. `post` and `picture` may be called
-    from any thread, and never wait."""
+    from any thread, and never wait.
+    """
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
@@ -90,7 +92,8 @@ class Hub:
     def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
         """Send a message (or its JSON text) to all pages that listen to a topic.
 
-        key: key of waiting messages with the same key only the newest is kept; None: all are kept."""
+        key: key of waiting messages with the same key only the newest is kept; None: all are kept.
+        """
         if self.listens(topic):
             text = message if isinstance(message, str) else _text(message)
             self._later(lambda: [page.put(text, key) for page in self._pages[topic]])

@@ -40,7 +40,8 @@ class Plan:
     recording, result: ids; the result may not exist yet.
     resumable: whether the same command with --resume continues an unfinished job.
     folder: folder in which an unfinished motion keeps its state; None: there is none.
-    makes: id of the recording that the job makes; None: it makes none."""
+    makes: id of the recording that the job makes; None: it makes none.
+    """
 
     arguments: tuple[str, ...]
     title: str
@@ -211,7 +212,8 @@ def next_step(
     after: kind of the job that has just ended, which is not tried again.
     anyway: continue whatever the check found.
     Returns: kind and options; None where the user must act (a board, a finding to correct), or where the motion
-        exists."""
+        exists.
+    """
     views = recording.views
     if uncalibrated(folder):
         person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)

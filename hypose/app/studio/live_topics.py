@@ -80,7 +80,8 @@ def _reported(path: Path | None) -> str | None:
 
 class LiveTopic(Topic):
     """Base class of the topic of a live run, of which there is at most one per server, and which continues without a
-    page. hello()["running"] is False, or describes the run."""
+    page. hello()["running"] is False, or describes the run.
+    """
 
     joints: Mapping[str, Any] = {}
     """Names and parents of the joints, for pages."""
@@ -114,7 +115,8 @@ class LiveTopic(Topic):
     async def stop(self, why: str = "") -> None:
         """Stop the live run and inform the pages.
 
-        why: sentence for the pages, where the run itself gives none."""
+        why: sentence for the pages, where the run itself gives none.
+        """
         async with self._changing:
             running, self._running = self._running, None
             await self._parts.aclose()

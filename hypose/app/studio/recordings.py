@@ -218,7 +218,8 @@ class Recordings:
         """Collect the facts about a recording that the page shows.
 
         results: ids of the recording's results.
-        Returns: JSON values."""
+        Returns: JSON values.
+        """
         made = item.path.with_name(f"{item.path.name}-in-step")
         common = {
             "in_step": self._catalog.id_of("recording", made) if (made / "recording.toml").is_file() else None,
@@ -324,7 +325,8 @@ class Recordings:
         memory for it.
 
         folder: folder of the recording.
-        frames: frame of the first row, and the frame after that of the last row; None: all frames."""
+        frames: frame of the first row, and the frame after that of the last row; None: all frames.
+        """
         key = folder, frames, _stamp(folder)
         opened = self._open.get(key)
         if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet

@@ -33,7 +33,8 @@ class Results:
     """Provider of the data that the View screen of the studio shows of results. Several threads may use it.
 
     catalog: items of the served folder.
-    recordings: open recordings of the studio."""
+    recordings: open recordings of the studio.
+    """
 
     def __init__(self, catalog: Catalog, recordings: Recordings) -> None:
         self._catalog, self._recordings = catalog, recordings

@@ -61,7 +61,8 @@ class Studio:
 
     root: folder that is served.
     host: address of this computer on which it is served.
-    token: secret that pages must show; None: one is made where other computers can connect."""
+    token: secret that pages must show; None: one is made where other computers can connect.
+    """
 
     def __init__(self, root: Path, host: str = "127.0.0.1", token: str | None = None) -> None:
         self.token = token_for(host, token)
@@ -216,7 +217,8 @@ def run_server(root: Path, host: str, port: int, token: str | None, ready: Calla
     host: address of this computer on which it is served.
     token: secret that pages must show; None: one is made where other computers can connect.
     port: 0: any free one.
-    Raises: InputError where the port cannot be used."""
+    Raises: InputError where the port cannot be used.
+    """
     opened = open_port(host, port)
     studio = Studio(root, host, token)
     query = f"?token={quote(studio.token)}" if studio.token else ""

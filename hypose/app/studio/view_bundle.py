@@ -55,7 +55,8 @@ class Rivals:
 
     rows: (N,) rows of the motion that have another pose.
     joints: (N, R, J, 3) m, joints of the R other poses, best first; NaN where a frame has fewer.
-    weights: (T, 1 + R) probabilities; column 0 is that of the motion's own pose."""
+    weights: (T, 1 + R) probabilities; column 0 is that of the motion's own pose.
+    """
 
     rows: NDArray[np.int64]
     joints: NDArray[np.float32]
@@ -67,7 +68,8 @@ class Rivals:
 
         joints, weights: (T, K, J, 3) m and (T, K); the first mode of each frame is the motion's own pose.
 
-        Returns: at most MOST_RIVALS other poses; None where there are none."""
+        Returns: at most MOST_RIVALS other poses; None where there are none.
+        """
         if joints.shape[1] < 2:
             return None
         others = joints[:, 1 : 1 + MOST_RIVALS]
@@ -416,7 +418,8 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
 
 def first_frame(motion: Motion) -> int:
     """Return the number of the recording's frame that is row 0 of a motion, from the motion's provenance; 0 where it
-    is not known."""
+    is not known.
+    """
     with contextlib.suppress(TypeError, KeyError, IndexError, ValueError, OverflowError):
         return int(motion.provenance["settings"]["frames"][0])
     return 0

@@ -102,7 +102,8 @@ class OpenRecording:
     recording: the recording.
     frames: frame of the first row, and the frame after that of the last row; None: all frames, so that row numbers
         are frame numbers.
-    users: number of users at present."""
+    users: number of users at present.
+    """
 
     def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
         self.recording, self._frames = recording, frames

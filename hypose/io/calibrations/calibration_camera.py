@@ -66,7 +66,8 @@ def numbers_if_any(
     keys: alternative names of the entry.
     shapes: accepted shapes; none for a row of any length.
     Returns: array of one of the shapes; None where the table has none of the keys.
-    Raises: CalibrationError where the entry is wrong."""
+    Raises: CalibrationError where the entry is wrong.
+    """
     key = next((k for k in keys if table.get(k) is not None), None)
     if key is None:
         return None

@@ -80,7 +80,8 @@ def read_qualisys(source: Source, rig: RigFile) -> None:
     by columns, of a camera that looks along -z with y up (rotated by pi about x into OpenCV's).
 
     Why: Pose2Sim divides the distortion coefficients by 64 as well. They belong to normalised coordinates, and without
-        the division they agree with a chessboard calibration of the same cameras, so they are not divided here."""
+        the division they agree with a chessboard calibration of the same cameras, so they are not divided here.
+    """
 
     def is_video(element: Element) -> bool:
         return any(m in element.get("model", "").lower() for m in ("video", "hybrid", "none"))
@@ -118,7 +119,8 @@ def read_vicon(source: Source, rig: RigFile) -> None:
 
     The radial coefficients are used as OpenCV's, as in Pose2Sim and OpenCap. Coefficients so small that they can only
     belong to radii in pixels are converted from Vicon's own model, u = c + (1 + k1 r^2 + k2 r^4)(d - c), which gives
-    undistorted positions u from distorted positions d."""
+    undistorted positions u from distorted positions d.
+    """
     from scipy.spatial.transform import Rotation  # takes long to import
 
     def is_video(element: Element) -> bool:
@@ -251,7 +253,8 @@ _OF_ARRAYS = {
 
 class _ArraysOnly(pickle.Unpickler):
     """Unpickler for numbers, text, tuples, lists, dictionaries and arrays; ValueError for any other name in the
-    file."""
+    file.
+    """
 
     def find_class(self, module: str, name: str) -> Any:
         full = f"{module}.{name}".replace("numpy._core", "numpy.core")
@@ -292,7 +295,8 @@ def read_opencap(source: Source, rig: RigFile) -> None:
 
     A folder may have the layout Videos/Cam0/cameraIntrinsicsExtrinsics.pickle.
 
-    Raises: CalibrationError where a file is not valid."""
+    Raises: CalibrationError where a file is not valid.
+    """
     files = opencap_files(source.path)
     if len(files) > 100:
         raise CalibrationError(f"{rig.path} holds {len(files)} .pickle files; give the folder of the cameras' alone.")

@@ -58,7 +58,8 @@ def read_tables(source: Source, rig: RigFile) -> None:
     The source is a file with all cameras, or a folder with one XML or YAML file per camera. A camera file without a
     camera name gets the name of the file (of its folder, if the file name is a common one).
 
-    Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key."""
+    Raises: CalibrationError where a value is missing or wrong; it names the file, the camera and the key.
+    """
     files = lens_files(source)
     documents = [parse_document(file) for file in files]
     tables = {k: v for f, d in zip(files, documents, strict=True) for k, v in tables_of(d, _file_name(f)).items()}

@@ -199,7 +199,8 @@ _QUIET = threading.Lock()
 @contextlib.contextmanager
 def _no_stderr() -> Iterator[None]:
     """Discard the output to stderr within a with block, because the runtime writes to it when it makes an
-    interpreter."""
+    interpreter.
+    """
     sys.stderr.flush()
     kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

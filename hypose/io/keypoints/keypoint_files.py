@@ -77,7 +77,8 @@ class KeypointTable:
     def sample(self) -> Array:
         """Collect the key points (N, K, 3) of all N people in at most 60 frames, evenly spread.
 
-        Returns: u, v, score of each point; an array (0, 0, 3) where there are no people."""
+        Returns: u, v, score of each point; an array (0, 0, 3) where there are no people.
+        """
         numbers = sorted(self.people)
         # every 60th part of the file gives one frame, its first with a person
         parts = np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers))))

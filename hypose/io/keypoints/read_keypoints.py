@@ -1,5 +1,6 @@
 """2D key points of any known program (`keypoint_files.KEYPOINTS`): choice of the key-point set, checks, notes for the
-user."""
+user.
+"""
 
 from __future__ import annotations
 
@@ -269,7 +270,8 @@ def check_keypoints(
     frames: frames of the video that are checked.
     stored: per view (width, height) of the pictures whose pixels the file uses, px; None where they are those of the
         calibrated picture.
-    Raises: InputError where they were misread: another picture size, y upwards, or mirrored."""
+    Raises: InputError where they were misread: another picture size, y upwards, or mirrored.
+    """
     some = evenly_spread(frames.start, frames.stop, _CHECKED)
     people: list[list[Array | None]] = []
     for view, name, camera, size in zip(views, names, rig, stored, strict=True):

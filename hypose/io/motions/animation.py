@@ -48,7 +48,8 @@ def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
 
     skeleton: the skeleton with J joints.
     poses: (T, D) pose vectors, rad and m.
-    Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root."""
+    Returns: (T, J, 3, 3) parent_from_joint; world_from_joint for the root.
+    """
     world_from_joint, _ = skeleton.forward(poses)
     local = world_from_joint.copy()
     for j, p in enumerate(skeleton.parents):

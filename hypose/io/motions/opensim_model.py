@@ -62,7 +62,8 @@ def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], 
 
     skeleton: skeleton of the tracked body.
     poses: (T, D) pose vectors.
-    Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left."""
+    Returns: 4 coordinate names; (T, 4) m, forwards and up relative to the chest, right and left.
+    """
     columns = {}
     for s, side, _ in _SIDES:
         y, z = skeleton.dofs_of(f"{side}_clavicle")

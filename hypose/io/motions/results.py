@@ -1,5 +1,6 @@
 """Results on disk: the folder of a run, motions, bodies and modes as .npz files with reproducible bytes, checkpoints,
-provenance."""
+provenance.
+"""
 
 from __future__ import annotations
 
@@ -249,7 +250,8 @@ class Archive:
     next_step: last part of the error messages.
     layout: its arrays.
     finite: names of the arrays that must not hold NaN or infinity.
-    optional: names of the arrays that may be absent."""
+    optional: names of the arrays that may be absent.
+    """
 
     what: str
     next_step: str

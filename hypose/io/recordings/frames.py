@@ -90,7 +90,8 @@ class PendingMasks:
 
     lanes: executor of each view, which runs the tasks of this view in order.
     make: function of view and frame that makes a mask.
-    index: number of the frame."""
+    index: number of the frame.
+    """
 
     def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
         self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
@@ -169,7 +170,8 @@ class FrameSettings:
     band: keep masks only within a thick skeleton drawn from the key points, where there are any.
     people: whether there are several people; masks then keep the parts of all people, no mask is rejected for its
         area, and there is no band.
-    colours: add the colours of the pictures within the masks."""
+    colours: add the colours of the pictures within the masks.
+    """
 
     longer_side: int = 480
     silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
@@ -363,7 +365,8 @@ class FrameStream:
     keypoints: key points of the person per frame; None where there are none.
     doubted: key points per frame that include those of views that do not fit, for diagnostics of the calibration.
     others: number of other people that the key points show.
-    Raises: InputError where the recording has no frames."""
+    Raises: InputError where the recording has no frames.
+    """
 
     def __init__(
         self,

@@ -333,7 +333,8 @@ def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
 
 def _run_lengths(text: str) -> list[int]:
     """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
-    the number two before it."""
+    the number two before it.
+    """
     out: list[int] = []
     value = shift = 0
     for code in (ord(c) - 48 for c in text):

@@ -213,7 +213,8 @@ class PersonSettings:
     height: stature, m; None: not known.
     body: path of the person's own body, as `hypose subject` writes it.
     place: (x, y) on the floor, m, at `time`.
-    time: s from the first frame."""
+    time: s from the first frame.
+    """
 
     name: str
     height: float | None = None
@@ -584,7 +585,8 @@ def _by_stored_frames(
 
 def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
     """List the size (width, height) of each view's stored pictures, where key points are in their pixels; None
-    otherwise."""
+    otherwise.
+    """
     if recording.keypoint_pixels != "image":
         return [None] * len(recording.views)
     return [None if v.source is None else frame_size(v.source) for v in recording.views]

@@ -28,7 +28,8 @@ class RecordedPerson:
     keypoints: T frames, undistorted px of the working-size cameras.
     raw: (C, T, K, 3) u, v and confidence, px of the calibrated, distorted pictures.
     one: result of the choice of the person, with other people and notes.
-    held: a sentence about key points that were held over gaps; empty where there are none."""
+    held: a sentence about key points that were held over gaps; empty where there are none.
+    """
 
     keypoints: list[Keypoints]
     raw: Array
@@ -102,7 +103,8 @@ def objects_of_people(
     small: pinhole cameras of the working size.
     masks: masks of each view; None for a view without objects.
     Returns: one dictionary {index of the view: name of the object} per person; people seen in most views and frames
-        come first."""
+        come first.
+    """
     frames = evenly_spread(recording.frames.start, recording.frames.stop, _SAMPLES)
     points: list[dict[str, Array]] = [{} for _ in masks]
     for c, (view, camera, into) in enumerate(zip(masks, recording.rig, small, strict=True)):

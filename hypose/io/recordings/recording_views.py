@@ -32,7 +32,8 @@ class ViewSettings:
     accept_scaled: images of another shape were stretched, not cut.
     first_mask: number of the first frame's files, for masks of one folder per object; None for the view's lowest
         number.
-    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame."""
+    rate: frames/s at which the video is read by its time stamps; None to read it frame by frame.
+    """
 
     name: str
     video: Path | None = None
@@ -176,7 +177,8 @@ def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] |
 
 def stored_numbers(view: ViewSettings) -> NDArray[np.int64] | None:
     """Compute the stored frame for each frame of a video that is read by its time stamps; None where the numbers are
-    equal."""
+    equal.
+    """
     return None if view.video is None or view.rate is None else stored_frames(view.video, view.rate)
 
 

@@ -55,7 +55,8 @@ class DepthPreparer:
 
     camera: the calibrated camera.
     small: the pinhole camera of the working size.
-    shift: (x, y) that is added to positions in the stored maps, px of the calibrated size."""
+    shift: (x, y) that is added to positions in the stored maps, px of the calibrated size.
+    """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self._camera, self._size, self._shift = camera, small.size, shift
@@ -181,7 +182,8 @@ def places_in_stored(
     camera: calibrated camera.
     shift: (x, y) that is added to positions in the stored picture, px of the calibrated size.
     stored: (width, height) size of the stored picture.
-    Returns: (h, w, 2) px."""
+    Returns: (h, w, 2) px.
+    """
     moved = np.array(shift) * stored / np.array(camera.size)
     return np.asarray(np.stack(camera.undistort_maps(size, stored), -1) - moved, dtype=np.float32)
 
@@ -191,7 +193,8 @@ class Preparer:
 
     camera: the calibrated camera.
     small: the pinhole camera of the working size.
-    shift: (x, y) that is added to positions in the stored pictures, px of the calibrated size."""
+    shift: (x, y) that is added to positions in the stored pictures, px of the calibrated size.
+    """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
         self.size = small.size
@@ -339,7 +342,8 @@ class ViewSource:
     @property
     def furnished(self) -> tuple[DepthBackground | None, float]:
         """Background model of the room before a depth camera, with the things that stand still in the recording, and
-        the visible area of these things, m^2; (None, 0) for other cameras."""
+        the visible area of these things, m^2; (None, 0) for other cameras.
+        """
         return self.depth.furnished if self.depth else (None, 0.0)
 
     @property

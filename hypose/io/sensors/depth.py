@@ -117,7 +117,8 @@ class DepthFile:
     """Depth maps of one depth camera, from a recording or from the connected camera.
 
     camera: the lens; its pose is the identity.
-    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost."""
+    frames: depth maps, each read once; times in s from the first, with gaps where frames were lost.
+    """
 
     camera: Camera
     frames: Iterator[DepthFrame]
@@ -432,7 +433,8 @@ def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int
 
 def _record3d(path: Path) -> DepthFile:
     """Open a capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed with
-    LZFSE."""
+    LZFSE.
+    """
     try:
         archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
         about = parse_json(_unpacked(archive, "metadata"))

@@ -223,7 +223,8 @@ class VideoReader:
 
     def _go_to(self, number: int) -> None:
         """Decode up to a stored frame, so that it is the next, or stay where it is the last decoded one and still in
-        memory."""
+        memory.
+        """
         if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
             return
         if number < self._decoded:
@@ -301,7 +302,8 @@ def open_video(path: str | Path, threads: int | None = None, rate: float | None 
 
     threads: number of threads that decode a video; None for all.
     rate: frames/s at which a video is read by its time stamps; None: frame by frame.
-    Raises: InputError where it does not exist or cannot be read."""
+    Raises: InputError where it does not exist or cannot be read.
+    """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")

@@ -40,7 +40,8 @@ class ViewBackground:
     small: pinhole camera of the working size.
     shift: (x, y) offset that is added to positions in the stored pictures, px of the calibrated size.
     options: settings of the masks.
-    background: background model, where it is known already; None: `learn` must be called first."""
+    background: background model, where it is known already; None: `learn` must be called first.
+    """
 
     def __init__(
         self,
@@ -84,7 +85,8 @@ class ViewBackground:
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
-        update is long enough ago."""
+        update is long enough ago.
+        """
         return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
@@ -176,7 +178,8 @@ class DepthViewBackground:
     small: pinhole camera of the working size.
     shift: (x, y) offset that is added to positions in the stored maps, px of the calibrated size.
     background: background model, where it is known already; None: `learn` must be called first. It is not updated,
-        since light does not change depth."""
+        since light does not change depth.
+    """
 
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None

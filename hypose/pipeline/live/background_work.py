@@ -42,7 +42,8 @@ class PackedMasks:
     bits: packed masks of C views.
     usable, reasons: (C,) whether each view is usable, and a short text why not ("" where it is).
     ignored, expected: packed pixels that other people cover, and the person's expected place, as in `Silhouettes`.
-    depth: depth of the person; empty without depth cameras."""
+    depth: depth of the person; empty without depth cameras.
+    """
 
     time: float
     bits: NDArray[np.uint8]
@@ -89,7 +90,8 @@ def fitted_body(
     rate: rate of the masks, Hz.
     height: m, where known.
     seed: seed of random numbers.
-    Returns: the body; None where the masks do not determine one."""
+    Returns: the body; None where the masks do not determine one.
+    """
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
     with contextlib.suppress(EvidenceError):
@@ -126,7 +128,8 @@ class BackgroundWork:
     meanwhile, for example for lack of memory; live tracking continues.
 
     Why a thread and a pipe instead of a pool of processes: in Python 3.11.2 the program never ends when a pool's
-    process is ended while it receives masks."""
+    process is ended while it receives masks.
+    """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
@@ -138,13 +141,15 @@ class BackgroundWork:
     ) -> Future[Body | None]:
         """Start to fit a body to the person in the masks; arguments and result are those of `fitted_body`.
 
-        Returns: future of the body, or of None."""
+        Returns: future of the body, or of None.
+        """
         return self._thread.submit(self._elsewhere, fitted_body, list(kept), rig, rate, height, seed)
 
     def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
         """Start to estimate how late each camera's pictures come; arguments and result are those of `offsets_of`.
 
-        Returns: future of the offsets (C,), s, or of None."""
+        Returns: future of the offsets (C,), s, or of None.
+        """
         return self._thread.submit(self._elsewhere, offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:

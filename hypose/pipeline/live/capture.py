@@ -52,7 +52,8 @@ class LiveView:
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
     depth_background: background of a depth camera, where known.
-    loop_s: period after which a video begins again, s; None: it ends."""
+    loop_s: period after which a video begins again, s; None: it ends.
+    """
 
     name: str
     address: str
@@ -89,7 +90,8 @@ class CaptureRequest:
     following: whether a person is being tracked.
     pictures: pictures are wanted too.
     learn: learn the empty room again.
-    offsets: (C,) delays of the cameras, s; None: unchanged."""
+    offsets: (C,) delays of the cameras, s; None: unchanged.
+    """
 
     pause: float = 0.0
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
@@ -115,7 +117,8 @@ class CaptureResult:
     learning: the empty room is being learned.
     made: time spent on the masks, s.
     depths: (h, w) mm of each depth camera.
-    empty: depth maps of the empty room as PNG, per camera, after the room was learned."""
+    empty: depth maps of the empty room as PNG, per camera, after the room was learned.
+    """
 
     cameras: tuple[FeedStatus, ...]
     instants: int
@@ -372,7 +375,8 @@ class CaptureProcess:
 
     stop: event; once it is set, no call waits any more, also while cameras are being opened, and only `close` may be
         called.
-    Raises: InputError where a camera cannot be opened."""
+    Raises: InputError where a camera cannot be opened.
+    """
 
     def __init__(
         self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
@@ -393,7 +397,8 @@ class CaptureProcess:
 
     def answer(self) -> CaptureResult | None:
         """Receive the result of the last request; None where all files have been read to their end, or `stop` is
-        set."""
+        set.
+        """
         found = self._received(10.0)
         if isinstance(found, HyposeError):
             raise found

@@ -57,7 +57,8 @@ class LiveTrackingOptions:
     person: recipe and seed of tracking, and prior knowledge of the person.
     people: most people that are tracked.
     measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
-    pictures: whether the results for listeners contain the pictures."""
+    pictures: whether the results for listeners contain the pictures.
+    """
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
@@ -79,7 +80,8 @@ class LiveStatus:
     latency: p50 and p99 of the time from the last picture's arrival to the pose, ms.
     stages: median times of masks (with decoding), tracking, reporting and judging, ms.
     offsets: delays of the cameras, s.
-    fitted: every tracked person has a body of their own."""
+    fitted: every tracked person has a body of their own.
+    """
 
     phase: str
     words: tuple[str, ...]
@@ -99,7 +101,8 @@ class LiveResult:
 
     captured: what the cameras showed.
     frame: the frame that was tracked.
-    poses: one per tracked person."""
+    poses: one per tracked person.
+    """
 
     captured: CaptureResult
     frame: Frame
@@ -124,7 +127,8 @@ class LiveEngine:
     rig, views: calibrated cameras, and how each is opened, in the same order.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
-    Raises: InputError where the number of cameras does not suit."""
+    Raises: InputError where the number of cameras does not suit.
+    """
 
     def __init__(
         self,

@@ -56,7 +56,8 @@ class LivePersonOptions:
 
     track: options of tracking, of which recipe and seed are used.
     height: m, where known.
-    body: the person's own body, where known; then none is fitted."""
+    body: the person's own body, where known; then none is fitted.
+    """
 
     track: TrackOptions = TrackOptions()
     height: float | None = None
@@ -249,7 +250,8 @@ class LivePose:
     motion: motion of this frame alone, with pose, covariance, error probability and low-confidence joints.
     body: body of the pose.
     joints: (J, 3) m, world; after a change of the body they move to the new place smoothly.
-    views: (C,) True for the cameras whose evidence was used."""
+    views: (C,) True for the cameras whose evidence was used.
+    """
 
     person: int
     frame: int
@@ -308,7 +310,8 @@ class LiveTrack:
     Attributes:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
-    given_up: the person has been lost for too long."""
+    given_up: the person has been lost for too long.
+    """
 
     def __init__(
         self,
@@ -381,7 +384,8 @@ class LiveTrack:
     @property
     def recent(self) -> list[FrameEstimate]:
         """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
-        shorter time."""
+        shorter time.
+        """
         long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
         return [e for _, e in self._recent] if long else []
 
@@ -588,7 +592,8 @@ class LivePeople:
         exchanged.
     work: fits bodies and offsets; None: neither is done.
     most: most people at once; with one, all of the masks are evidence for that person.
-    offsets: (C,) delays of the cameras, s; None: not known yet."""
+    offsets: (C,) delays of the cameras, s; None: not known yet.
+    """
 
     def __init__(
         self,
@@ -609,7 +614,8 @@ class LivePeople:
     @property
     def phase(self) -> str:
         """Phase of the run, a word: the phase of the tracked people, or the phase of the search where no person is
-        tracked."""
+        tracked.
+        """
         if not self.people:
             return self._search.phase
         return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING

@@ -30,7 +30,8 @@ class LiveRig:
     height: height of the person, m, where known.
     notes: for the user.
     no_background: a recording is played without a picture of the empty room; the background is guessed from its
-        videos."""
+        videos.
+    """
 
     rig: CameraRig
     views: tuple[LiveView, ...]

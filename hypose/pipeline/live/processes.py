@@ -20,7 +20,8 @@ from hypose.pipeline.settings import SETTINGS
 @contextlib.contextmanager
 def punctual() -> Iterator[None]:
     """Inside the context, switch between Python threads more often, and keep loaded objects out of garbage
-    collection, so that live results are not delayed."""
+    collection, so that live results are not delayed.
+    """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SETTINGS.processes_switch_s)
     gc.collect()

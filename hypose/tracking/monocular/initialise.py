@@ -84,7 +84,8 @@ def initialise(
     floor: height in the world of the floor that the person stands on, m; None: unknown.
     Raises: EvidenceError where fewer than 6 points are seen.
     Deviation: several headings and mirrored limbs are tried; the paper has one start. In stages 2 and 3 the proportions
-        are searched one after the other, because the contour's cost has jumps."""
+        are searched one after the other, because the contour's cost has jumps.
+    """
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = seen_points(points_on(template))

@@ -142,7 +142,8 @@ class PictureSearch:
     def sampled(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Add to the candidates samples along the directions in which the cost of each candidate is flattest.
 
-        Each sample keeps the prediction and the accumulated evidence of the candidate from which it was drawn."""
+        Each sample keeps the prediction and the accumulated evidence of the candidate from which it was drawn.
+        """
         if self.settings.search.hypotheses == 1:
             return pooled(h)
         evidence: PictureEvidence = frame.shared["evidence"]
@@ -191,7 +192,8 @@ class PictureSearch:
 
     def lost(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> bool:
         """Decide whether the track is lost: hardly any contour node of the best candidate finds an edge, or none is
-        visible."""
+        visible.
+        """
         nodes = h.columns["nodes"][best_of(h)]
         return self.settings.edges and bool(nodes[ASSIGNED] < _LOST_SHARE * max(nodes[CONTOUR], 1))
 
@@ -207,7 +209,8 @@ class PictureSearch:
         poses: (N, D) start poses.
         iterations: number of iterations of the Newton search.
         Returns: hypotheses, best first, each with its covariance and its column `cost`; the costs can be compared.
-        Raises: InputError where a pose has the wrong number of values or is not finite."""
+        Raises: InputError where a pose has the wrong number of values or is not finite.
+        """
         picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
@@ -234,7 +237,8 @@ class PictureSearch:
 
     def _flow(self, picture: Picture, poses: Array) -> Flow | None:
         """Compute the flow around the moving parts at all poses (N, D); None without a previous picture, or
-        where they are outside the picture."""
+        where they are outside the picture.
+        """
         if picture.before is None:
             return None
         moving = self._at(picture.camera).fixed.model.moving_vertices

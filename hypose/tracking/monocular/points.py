@@ -74,7 +74,8 @@ def held_dofs(dof: int, active: NDArray[np.int64]) -> Array:
     """Compute the weights (D,) of a quadratic prior that holds all dof at its centre, except the active ones.
 
     dof: number D of dof.
-    active: (A,) indices of the dof that stay free."""
+    active: (A,) indices of the dof that stay free.
+    """
     held = np.full(dof, HELD)
     held[active] = 0.0
     return held
@@ -99,7 +100,8 @@ def fit_proportions(
     active: (A,) dof of every pose that may change.
     floor: floor on which the person stands in every picture; None: unknown. Why: without it one view cannot tell
         long legs that point away from shorter ones that do not.
-    Returns: poses (M, D); factors (K,), logarithms; cost of the fit."""
+    Returns: poses (M, D); factors (K,), logarithms; cost of the fit.
+    """
     start, held = np.array(poses, dtype=np.float64), held_dofs(template.skeleton.dof, active)
     problem = _PointsProblem(template, pictures, factors, prior, [Quadratic(start, held)], floor)
     found = problem.solve((factors[INTERNAL], start), 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))

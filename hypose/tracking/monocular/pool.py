@@ -57,7 +57,8 @@ def accumulated(h: Hypotheses, frame: PreparedFrame, /) -> Array:
     """Compute the log-likelihoods (N,) of candidates: minus the cost accumulated over the frames so far.
 
     Source: equation (4); its Z is the sum over the set. Deviation: evidence is accumulated over frames with a
-        memory."""
+        memory.
+    """
     return -h.columns["evidence"]
 
 
@@ -149,7 +150,8 @@ def landmark_places(body: Body, poses: Array) -> Array:
 
 def covariances_by_turns(covariances: Array, poses: Array) -> Array:
     """Convert covariances (N, D, D) of poses (N, D): the root's rotation vector becomes a small rotation in the
-    world."""
+    world.
+    """
     out, turns = covariances.copy(), so3_left_jacobian(poses[:, 3:6])
     out[:, 3:6] = turns @ out[:, 3:6]
     out[:, :, 3:6] = out[:, :, 3:6] @ np.swapaxes(turns, 1, 2)

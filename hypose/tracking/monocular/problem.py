@@ -142,7 +142,8 @@ class Spheres(NamedTuple):
     offset: (S, 3) m, centre in the joint's frame.
     pairs: (P, 2) spheres of parts that can meet.
     apart: (P,) m, distance of their centres below which the prior acts.
-    weight: weight of the prior, 1 / m^2."""
+    weight: weight of the prior, 1 / m^2.
+    """
 
     joint: NDArray[np.int64]
     offset: Array
@@ -155,7 +156,8 @@ def sphere_rows(at: Posed, spheres: Spheres) -> Rows:
     """Compute the residuals with derivatives (rows) of the prior against interpenetration: 1/2 weight (apart -
     distance)^2 for pairs of spheres that are too near.
 
-    at: the posed body."""
+    at: the posed body.
+    """
     centre = at.body.skeleton.points(spheres.joint, spheres.offset, at.pose)
     away = centre[spheres.pairs[:, 0]] - centre[spheres.pairs[:, 1]]
     distance = np.linalg.norm(away, axis=1)
@@ -193,7 +195,8 @@ def floor_rows(at: Posed, floor: Floor) -> Rows:
 
     at: the posed body.
     Returns: one row per point of the soles, with weight 0 for points that nothing holds. The loss is that of a key
-        point, so that a jump costs little more than a step."""
+        point, so that a jump costs little more than a step.
+    """
     point = at.body.skeleton.points(floor.soles.joint, floor.soles.offset, at.pose)
     above, n = point[:, 2] - floor.height, len(point)
     on = (above < 0) | (np.arange(n) == above.argmin())
@@ -282,7 +285,8 @@ class Fixed:
     floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
-    posture: (A,) weight of the weak pull to the rest posture."""
+    posture: (A,) weight of the weak pull to the rest posture.
+    """
 
     body: Body
     model: MonoModel
@@ -364,7 +368,8 @@ class PictureEvidence(NamedTuple):
     arrays: edges and flow.
     contours: outline of the mask, where there is one.
     points: key points or clicked joints; None: there are none.
-    prediction: pull of the active dof to their prediction; None: none."""
+    prediction: pull of the active dof to their prediction; None: none.
+    """
 
     fixed: Fixed
     arrays: PictureArrays
@@ -435,7 +440,8 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
         """Propose the next pose from a state (pose) and its normal equations.
 
         Returns: pose (D,), and its distance from the state as a multiple of the longest allowed step; None where no
-            step is expected to lower the cost by LEAST_GAIN."""
+            step is expected to lower the cost by LEAST_GAIN.
+        """
         (hessian, gradient), fixed = equations, self.evidence.fixed
         rejected = state is self._from
         self._reach = 0.35 * min(self._reach, self._length) if rejected else min(1.0, 2 * self._reach)
@@ -513,7 +519,8 @@ def frame_evidence(
     points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
         none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: settings of the cost."""
+    settings: settings of the cost.
+    """
     arrays = PictureArrays(
         fixed.model,
         edge_arrays(field, flow, settings),

@@ -115,7 +115,8 @@ def shaped(template: Body, factors: ArrayLike) -> Body:
     """Deform a template body by proportions.
 
     factors: (K,) natural logarithms of the proportions, in the order of FACTORS.
-    Returns: the deformed body."""
+    Returns: the deformed body.
+    """
     return deform(template, shape_from_factors(factors), template.name)
 
 

@@ -42,7 +42,8 @@ class WholeClip:
     settled: time after which the start pose has no more influence, s; from then on the backward pass counts as much
         as the forward pass.
     widening: factor on the covariances of single frames, because errors last longer than a frame.
-    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth."""
+    motion: usual accelerations and speeds; one round for the whole clip, since more would follow the noise of depth.
+    """
 
     temperature: float = 4.0
     settled: float = 2.0
@@ -58,7 +59,8 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
     Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are with
     several cameras, because the depth of feet is too uncertain in one view.
     active: (A,) dof that are estimated.
-    Returns: the motion; notes (none)."""
+    Returns: the motion; notes (none).
+    """
     tracker, motion, total = clip.tracker, clip.motion, len(clip.motion)
     body = tracker.body
     modes = modes_of(clip.estimates)
@@ -176,7 +178,8 @@ def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor
     particles: number of hypotheses.
     floor: height in the world of the floor, m; None: unknown.
     Mirrored limbs are tried while tracking where there are key points, because these show sooner or later which is
-    right."""
+    right.
+    """
     usual = MonoSettings(frame_rate=frame_rate)
     search = replace(usual.search, hypotheses=particles, flips=None)
     return picture_recipe(PictureSearch(body, replace(usual, search=search), floor=floor))

@@ -16,7 +16,8 @@ from hypose.compute.mono import EdgeSettings, FlowSettings
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
     """List the 30 dof of a whole body that one view shows: all but clavicles, ankle inversion, forearm twists and
-    wrists."""
+    wrists.
+    """
     hidden = ("clavicle", "inversion", "twist", "wrist")
     return np.flatnonzero([not any(h in name for h in hidden) for name in skeleton.dof_names])
 
@@ -81,5 +82,6 @@ class MonoSettings:
 
     def robust(self, form: int) -> MonoSettings:
         """Copy the settings with one form of loss for edges and flow (GAUSSIAN is the ablation without robust
-        losses)."""
+        losses).
+        """
         return replace(self, edge=self.edge._replace(form=form), flow=self.flow._replace(form=form))
