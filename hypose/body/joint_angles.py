@@ -90,7 +90,8 @@ ANGLE_NAMES: tuple[str, ...] = (
 
 def is_length(name: str) -> bool:
     """Return whether the values of an angle name (ANGLE_NAMES) are lengths in metres and not angles in radians, as
-    those of the pelvis position are."""
+    those of the pelvis position are.
+    """
     return name.endswith(("_tx", "_ty", "_tz"))
 
 
@@ -193,7 +194,8 @@ def _product(a: Array, b: Array) -> Array:
 def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
     """Compute the rotation of every joint in the anatomical neutral pose.
 
-    Returns: rotation model_from_joint (3, 3) by joint name."""
+    Returns: rotation model_from_joint (3, 3) by joint name.
+    """
     frames = {name: np.eye(3) for name in skeleton.joint_names}
     down, side = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
     for _, left_right, _ in _SIDES:

@@ -53,7 +53,8 @@ class LimbOffsets:
     velocity: (N, 2) velocity of the point on the bone, px per frame.
     position: (N, 2) point on the bone, px.
     limb: (N,) index of the limb.
-    frame: (N,) index of the frame."""
+    frame: (N,) index of the frame.
+    """
 
     normal: Array
     offset: Array

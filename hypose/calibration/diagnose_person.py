@@ -194,7 +194,8 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
 def cameras_up(rig: CameraRig) -> Array:
     """Compute the mean of the directions in the world that point upwards in the cameras' images.
 
-    Returns: (3,) of length 1 at most: mean of unit vectors, in the world."""
+    Returns: (3,) of length 1 at most: mean of unit vectors, in the world.
+    """
     return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
 
 

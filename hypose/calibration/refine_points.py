@@ -219,7 +219,8 @@ class PointAdjustment:
     radial: (C,) radial distortion term of each camera; 0 unless it was estimated.
     radial_sd: (C,) standard deviation of radial; 0 unless it was estimated.
     before: median reprojection error at the start, px, over the detections used.
-    after: median reprojection error after the adjustment, px, over the same detections."""
+    after: median reprojection error after the adjustment, px, over the same detections.
+    """
 
     rig: CameraRig
     points: Array

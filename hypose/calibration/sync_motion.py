@@ -103,7 +103,8 @@ def keypoint_curves(
     confidence: (C, T, K) confidence of each point.
     largest: largest offset, frames.
     scale_px: standard deviation of a detection, px.
-    step: step of the offsets, frames."""
+    step: step of the offsets, frames.
+    """
     n, frames = pixels.shape[:2]
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
@@ -263,7 +264,8 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
 
     tracks: mask track of each view.
     largest: largest offset, frames.
-    scale_px: standard deviation of a tangent, px."""
+    scale_px: standard deviation of a tangent, px.
+    """
     frames = len(tracks[0].area)
     lags = _lags(largest, frames)
     margin = int(np.ceil(lags[-1])) + 1

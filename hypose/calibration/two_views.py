@@ -49,7 +49,8 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
     points: (C, T, K, 3) undistorted px, and confidence.
     lenses: K (3, 3) of each view; None where unknown.
     sd: standard deviation of a detection, px.
-    largest: largest offset, frames."""
+    largest: largest offset, frames.
+    """
     rng = np.random.default_rng(0)
     count, frames, kinds = points.shape[:3]
     lags = np.arange(-largest, largest + 1)

@@ -139,7 +139,8 @@ class Coupling:
 
     def cost(self, q: Array) -> tuple[float, Array]:
         """Compute the cost of poses (T, D) and its gradient (T, D); the derivatives by the root's rotation are by small
-        turns in the world."""
+        turns in the world.
+        """
         v = pose_steps(q)
         a = np.diff(v, axis=0)
         cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())

@@ -95,7 +95,8 @@ def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the sources of depth pictures for the page, as JSON values; a source that is not available has the key
-    "missing"."""
+    "missing".
+    """
     people = [
         {"value": f"simulated:{n}", "title": f"Simulated person {n + 1}", "gestures": GESTURES}
         for n in range(len(load_people()))
