@@ -54,7 +54,7 @@ class TrackCommand(TrackOptions):
     out: Annotated[Path | None, Option("Results folder. [default: results/RECIPE in the recording's folder]")] = None
     resume: Resume = False
     formats: Formats = "trc,c3d,bvh,glb,csv,mot,osim"
-    overlay: Annotated[bool, Option("Do not write overlay.mp4.", group=OUTPUT)] = True
+    overlay: Annotated[bool, Option("Do not write overlay.webm.", group=OUTPUT)] = True
     report: Annotated[bool, Option("Do not write report.html.", group=OUTPUT)] = True
     calibration: CalibrationFile = None
     yes: Yes = False

@@ -135,7 +135,7 @@ def test_from_key_points_to_a_comparison(hypose, alone, tmp_path):
     assert code == 0, err
     assert "Key points: MMPose results, HALPE_26 (by their names)" in out + err
     names = {p.name for p in (tmp_path / "r").iterdir()}
-    assert {"motion.npz", "motion.trc", "motion.c3d", "motion.mot", "overlay.mp4", "report.html"} <= names
+    assert {"motion.npz", "motion.trc", "motion.c3d", "motion.mot", "overlay.webm", "report.html"} <= names
     motion, truth = load_motion(tmp_path / "r" / "motion.npz"), human().joints(walker(FRAMES))
     limbs = [motion.skeleton.joint(f"{s}_{p}") for s in ("left", "right") for p in ("knee", "ankle", "elbow", "wrist")]
     assert np.linalg.norm(motion.joints - truth, axis=-1)[:, limbs].mean() < 0.02

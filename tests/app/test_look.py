@@ -127,7 +127,7 @@ def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
 
 
 def test_the_overlay_marks_the_person(tracked, tiny):
-    with open_video(tracked / "overlay.mp4") as video, open_video(tiny / "videos" / "cam1.mp4") as plain:
+    with open_video(tracked / "overlay.webm") as video, open_video(tiny / "videos" / "cam1.mp4") as plain:
         overlay = video.read(4)[26 : 26 + 120, :160].astype(int)
         image = plain.read(4).astype(int)
     changed = np.abs(overlay - image).max(2) > 25

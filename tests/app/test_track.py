@@ -38,7 +38,7 @@ def test_the_files_of_a_result_are_of_the_recorded_motion(tracked, tiny):
     np.testing.assert_allclose(points, motion.joints, atol=1e-6)
     assert read_trc(tracked / "motion.trc").points.shape == motion.joints.shape
     assert load_body(tracked / "body.npz").skeleton.joint_names == motion.skeleton.joint_names
-    with open_video(tracked / "overlay.mp4") as video:
+    with open_video(tracked / "overlay.webm") as video:
         assert (video.n_frames, video.size) == (8, (320, 266))
 
 
@@ -49,7 +49,7 @@ def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
     assert str(tmp_path / "report.html") in out
     assert "Track: 3/3" in err
     assert load_motion(tmp_path / "motion.npz").provenance["settings"]["frames"] == [2, 5]
-    assert not (tmp_path / "overlay.mp4").exists() and not (tmp_path / "motion.c3d").exists()
+    assert not (tmp_path / "overlay.webm").exists() and not (tmp_path / "motion.c3d").exists()
 
 
 @pytest.mark.slow
@@ -78,7 +78,7 @@ def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
 ):
     arguments = ("track", tiny, "--out", tmp_path / "out")
     code, out, _ = interrupted("overlay", 3, *arguments)
-    assert code == 130 and "motion is complete" in out and not (tmp_path / "out" / "overlay.mp4").exists()
+    assert code == 130 and "motion is complete" in out and not (tmp_path / "out" / "overlay.webm").exists()
     code, _, err = hypose(*arguments, "--resume")
     assert code == 0 and "Track:" not in err  # it was not tracked again
     assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()

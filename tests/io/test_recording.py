@@ -394,7 +394,7 @@ def test_what_is_left_out_is_not_known():
     [
         *(
             ([{"name": name}], "names a folder")
-            for name in ("", "a/b", "..", "all", "7", "CON", "overlay.mp4", "report.html", "people.json")
+            for name in ("", "a/b", "..", "all", "7", "CON", "overlay.webm", "report.html", "people.json")
         ),
         *(
             ([{"name": "Anna B"}, {"name": "Anna C"}, {"name": other}], "Anna B.*rename one|rename one.*Anna B")

@@ -345,7 +345,7 @@ def batch(
         Path | None, Option("Results folder. [default: TABLE-results next to the table, else batch-results]")
     ] = None,
     formats: Formats = "trc,csv",
-    overlay: Annotated[bool, Option("Write overlay.mp4 as well.")] = False,
+    overlay: Annotated[bool, Option("Write overlay.webm as well.")] = False,
     dry_run: Annotated[bool, Option("Say what would be done, and do nothing.")] = False,
 ) -> None:
     """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""

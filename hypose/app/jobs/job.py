@@ -408,7 +408,7 @@ def _export_and_report(
     for name in each(progress, "export", job.formats):
         files += export_motion(motion, body, results.path, (name,))
     video, reported = job.command.overlay and not one.name, job.command.report
-    files += [results.file("overlay.mp4")] * video + [results.file("report.html")] * reported
+    files += [results.file("overlay.webm")] * video + [results.file("report.html")] * reported
     if video or reported:
         view = in_recording(
             recording,
@@ -423,7 +423,7 @@ def _export_and_report(
             files=[(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in files],
         )
         wanted, people = picture_rows(view, video) if reported else PictureRows(video), [Shown("", motion, body)]
-        drawn = write_overlay(results.file("overlay.mp4"), recording, source, people, wanted, progress)
+        drawn = write_overlay(results.file("overlay.webm"), recording, source, people, wanted, progress)
         for _ in each(progress, "report", [view] * reported):
             results.write_text("report.html", report_html(view, drawn))
     remove_stale(results, files)
@@ -474,7 +474,7 @@ def _together(
     """
     results, files = job.results, [job.results.file(ASSESSMENT_FILE)]
     if job.command.overlay:
-        files.append(results.file("overlay.mp4"))
+        files.append(results.file("overlay.webm"))
         shown = [Shown(p.name, p.motion, p.body, p.there) for p in people]
         write_overlay(files[-1], job.recording, source, shown, PictureRows(), progress)
     if "c3d" in job.formats:
@@ -525,7 +525,7 @@ def _index(job: TrackJob, people: Sequence[TrackResult], notes: Sequence[str]) -
             html.escape(p.assessment.sentence),
         )
         rows.append(cells)
-    film = '<p><video src="overlay.mp4" controls></video></p>' if job.command.overlay else ""
+    film = '<p><video src="overlay.webm" controls></video></p>' if job.command.overlay else ""
     table = html_table(rows, ("", "person", "height", "there", "assessment"))
     body = f"<h1>{html.escape(job.recording.name)}</h1>{table}{film}{html_list(notes)}"
     return page(job.recording.name, body, policy=f"{CONTENT_POLICY}; media-src 'self'")

@@ -37,13 +37,13 @@ from hypose.pipeline.track_loop import FrameSource
 # BGR; also different for people with red-green colour blindness
 _LEFT, _RIGHT, _MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
-MAX_TILE, MAX_WIDTH = 960, 1920
+MAX_TILE, MAX_WIDTH = 720, 1440
 _BAR, _GREY = 26, 24
 _SMALL = 640 * 480
 
 
 def tile_layout(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int, int, int]], tuple[int, int]]:
-    """Arrange the views in tiles below a title bar, each at most 960 px wide and all together 1920 px.
+    """Arrange the views in tiles below a title bar, each at most 720 px wide and all together 1440 px.
 
     sizes: (width, height) sizes of the recorded pictures, px.
     Returns: (x, y, width, height) px of each view in the picture, and (width, height) px of the picture before it is

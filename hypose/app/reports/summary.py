@@ -29,7 +29,7 @@ DESCRIPTIONS = {
     "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
     "angles.csv": "joint angles (degrees)",
     "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
-    "overlay.mp4": "the body on the recorded images",
+    "overlay.webm": "the body on the recorded images",
     "provenance.json": "settings, versions, inputs with their hashes",
     "assessment.json": "good, look at frames, or not to be trusted, and why; low-confidence frames by joint",
     "report.html": "this report",

@@ -46,6 +46,7 @@ _CODECS = {
     ".mov": ("mp4v", "avc1"),
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
+    ".webm": ("VP80",),
 }
 # A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
@@ -480,13 +481,13 @@ def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> c
 class VideoWriter:
     """Writer of frames (h, w, 3), uint8 BGR, to a video; a context manager.
 
-    The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .avi motion JPEG, .mkv FFV1
-        (lossless). The file has another name until it is complete, and is then checked; after an exception in the block
+    The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .webm VP8 (browsers show it, it
+        takes ten times as long), .avi motion JPEG, .mkv FFV1 (lossless). The file has another name until it is complete, and is then checked; after an exception in the block
         nothing remains.
 
     frame_rate: frames/s.
     size: width and height, px; rounded down to even numbers, as codecs need them.
-    codec: another codec; "vp09" in .mp4 is VP9, which browsers show, at a fifth of the speed.
+    codec: another codec, as a code of four letters; None: that of the ending.
     Raises: InputError where the file cannot be written.
     """
 
