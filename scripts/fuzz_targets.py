@@ -114,6 +114,7 @@ _TABLES = {
         "bodies": ("sensors/skeleton.csv", "sensors"),
         "lines": ("people.jsonl", ""),
         "azure": ("offline.json", ""),
+        "kinect": ("kinect.csv", ""),
     },
 }
 """Samples of the formats by table: name -> the file that is spoilt, and what is read instead of it."""
@@ -342,3 +343,6 @@ def _write_texts(folder: Path) -> None:
     ]
     document = {"joint_names": ["HEAD", "NECK", "PELVIS", "NOSE"], "frames": azure}
     (folder / "skeleton" / "offline.json").write_text(json.dumps(document))
+    header = "Tracker_Time,Kinect_Id,Person_Id,Head_X,Head_Y,Head_Z,Neck_X,Neck_Y,Neck_Z"
+    rows = [f"{33 * t},{t % 2},0,0.1,0.2,2.0,0.1,0.0,2.0" for t in range(12)]
+    (folder / "skeleton" / "kinect.csv").write_text("\n".join([header, *rows]) + "\n")

@@ -87,7 +87,7 @@ CANNOT_BE = [
     ("synth out --clothing 0.5", "0.5", "0.04"),
     ("demo --seconds 0", "--seconds 0 is not possible; give more than 0 and at most 3600 seconds."),
     ("gesture run nowhere --threshold -1", "--threshold -1 is not possible; give more than 0 and at most 1000000 cm²."),
-    ("check TINY --from tea", "choose auto, keypoints, silhouettes or both"),
+    ("check TINY --from tea", "choose auto, keypoints or silhouettes"),
     ("check TINY --out check.png --samples 1 --frames 0 --refine --from keypoints", "has no key points"),
     ("check TINY --height 17", "give 0.4 to 2.8 metres"),
     ("check TINY --keep cam9", "no camera cam9"),
