@@ -182,9 +182,8 @@ def _gross_masks(
     def measure(cameras: CameraRig, seen: list[MaskTrack], _: Sequence[int]) -> float:
         return _score(cameras, seen, size)
 
-    if _score(rig, _few(tracks, 25), size) < o.gross:
-        return [], rig, tracks
-    return undo_faults(rig, tracks, trials, measure, lambda seen: _few(seen, 25), o, 2, _SCATTER)
+    most = 2 if _score(rig, _few(tracks, 25), size) >= o.gross else 0
+    return undo_faults(rig, tracks, trials, measure, lambda seen: _few(seen, 25), o, most, _SCATTER)
 
 
 def _delayed(track: MaskTrack, late: float) -> MaskTrack:

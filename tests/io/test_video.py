@@ -21,12 +21,12 @@ def test_written_frames_come_back_in_order(tmp_path, ending):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]  # no temporary file is left
 
 
-@pytest.mark.parametrize("codec", ["mp4v", "vp09"])
-def test_mp4(tmp_path, codec):
-    with VideoWriter(tmp_path / "a.mp4", 30, (65, 49), codec) as writer:
+@pytest.mark.parametrize("ending", [".mp4", ".webm"])
+def test_lossy_videos(tmp_path, ending):
+    with VideoWriter(tmp_path / f"a{ending}", 30, (65, 49)) as writer:
         for i in range(20):
             writer.write(np.full((49, 65, 3), 10 * i, np.uint8))
-    with open_video(tmp_path / "a.mp4") as reader:
+    with open_video(tmp_path / f"a{ending}") as reader:
         assert reader.size == (64, 48) and reader.n_frames == 20
         # these codecs give grey levels back about 3 darker (rounding in the conversion to YUV and back)
         assert np.abs([f.mean() - 10 * i for i, f in enumerate(reader)]).max() < 4
@@ -133,18 +133,17 @@ def test_not_a_video(tmp_path, name, data, message):
 
 
 @pytest.mark.parametrize(
-    ("name", "rate", "codec", "message"),
+    ("name", "rate", "message"),
     [
-        ("a.avi", 25, None, r"frame 0 is .*, needed are 64 x 48 px"),
-        ("a.gif", 25, None, r"name the video \.mp4"),
-        ("a.avi", 0, None, "give a positive frame rate"),
-        ("a.avi", 25, "XXXX", "no encoder for XXXX"),
-        ("file/a.avi", 25, None, "cannot be written"),
+        ("a.avi", 25, r"frame 0 is .*, needed are 64 x 48 px"),
+        ("a.gif", 25, r"name the video \.mp4"),
+        ("a.avi", 0, "give a positive frame rate"),
+        ("file/a.avi", 25, "cannot be written"),
     ],
 )
-def test_writer_refuses(tmp_path, name, rate, codec, message):
+def test_writer_refuses(tmp_path, name, rate, message):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=message), VideoWriter(tmp_path / name, rate, SIZE, codec) as writer:
+    with pytest.raises(InputError, match=message), VideoWriter(tmp_path / name, rate, SIZE) as writer:
         writer.write(frame(0, (32, 32)))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 

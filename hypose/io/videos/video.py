@@ -482,16 +482,16 @@ class VideoWriter:
     """Writer of frames (h, w, 3), uint8 BGR, to a video; a context manager.
 
     The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .webm VP8 (browsers show it, it
-        takes ten times as long), .avi motion JPEG, .mkv FFV1 (lossless). The file has another name until it is complete, and is then checked; after an exception in the block
-        nothing remains.
+        takes ten times as long), .avi motion JPEG, .mkv FFV1 (lossless).
+    The file has another name until it is complete, and is then checked; after an exception in the block nothing
+        remains.
 
     frame_rate: frames/s.
     size: width and height, px; rounded down to even numbers, as codecs need them.
-    codec: another codec, as a code of four letters; None: that of the ending.
     Raises: InputError where the file cannot be written.
     """
 
-    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None) -> None:
+    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int]) -> None:
         self.path = Path(path)
         self.frame_rate = float(frame_rate)
         self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
@@ -503,7 +503,6 @@ class VideoWriter:
                 f"{self.path} cannot be written with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; "
                 "give a positive frame rate and at least 2 x 2 px."
             )
-        self._codecs = (codec,) if codec else _CODECS[self.path.suffix.lower()]
         self._writer: cv2.VideoWriter | None = None
         self._closing = contextlib.ExitStack()
 
@@ -521,14 +520,16 @@ class VideoWriter:
         self._closing.__exit__(kind, error, trace)
 
     def _open(self) -> cv2.VideoWriter:
-        for codec in self._codecs:
+        codecs = _CODECS[self.path.suffix.lower()]
+        for codec in codecs:
             with quiet(), utf8_path(self._temporary) as name:
-                fourcc = cv2.VideoWriter.fourcc(*codec)
-                writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
+                writer = cv2.VideoWriter(
+                    name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), self.frame_rate, self.size
+                )
             if writer.isOpened():
                 return writer
         raise InputError(
-            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(self._codecs)}; "
+            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(codecs)}; "
             f"choose another ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
         )
 
