@@ -89,7 +89,7 @@ def first_camera_of_uu4cam(folder: Path) -> None:
 def pose2sim_output(folder: Path) -> None:
     """Markers in a file of 99 rows that says 100."""
     path = folder / "proj_0-99_filt_butterworth.trc"
-    write_trc(path, [f"m{k}" for k in range(22)], np.random.default_rng(0).normal(0, 1, (99, 22, 3)), 60, "m")
+    write_trc(path, [f"m{k}" for k in range(22)], np.random.default_rng(0).normal(0, 1, (99, 22, 3)), 60)
     path.write_text(path.read_text().replace("60\t60\t99\t", "60\t60\t100\t").replace("\t99\n", "\t100\n", 1))
 
 
