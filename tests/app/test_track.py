@@ -117,11 +117,12 @@ def run(*arguments):
 
 
 def begun(longer, out):
-    """A run that has written a checkpoint."""
+    """A run that has written two checkpoints: one before the first frame, and one after some frames."""
     process = subprocess.Popen(command(longer, out), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    deadline = time.monotonic() + HANG_S
-    while not (out / "checkpoint.npz").exists():
+    deadline, written = time.monotonic() + HANG_S, set()
+    while len(written) < 2:
         assert process.poll() is None and time.monotonic() < deadline
+        written |= {p.stat().st_mtime_ns for p in out.glob("checkpoint.npz")}
         time.sleep(0.02)
     return process
 
