@@ -89,7 +89,7 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
         "product": {"": Benchmark(table_2_3.product_table, *_ALL)},
         "table-2.4": {"": Benchmark(table_2_4.table_2_4, *_SCENES)},
         "arms": {"": Benchmark(lost_arms.arms, *_ALL)},
-        "error-model": {"": Benchmark(error_bench.doubt, *_ALL)},
+        "error-model": {"": Benchmark(error_bench.error_model, *_ALL)},
         "regions": {
             "": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
             "real": Benchmark(real_regions.regions_real, "data"),

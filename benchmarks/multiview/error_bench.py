@@ -36,7 +36,7 @@ _GROUPS = ("torso", "arms", "legs", "head")
 _LEGEND = "scenes: seeds that judge, fitted weights as committed; left-out: refitted without the case, other seeds"
 
 
-def doubt(options: BenchOptions) -> BenchReport:
+def error_model(options: BenchOptions) -> BenchReport:
     """Rows of the table in docs/benchmarks.md. Scenes are tracked, or taken from `--parts` where
     scripts/train_error_model.py has kept them; `left-out` needs its training seeds there. Default: two seeds from
     JUDGES on."""

@@ -325,11 +325,11 @@ class PeopleFinder:
         if not paths:
             if self.source.frame(0).depth is not None:
                 raise EvidenceError(
-                    "Nobody stands before the depth cameras at the beginning; begin with --frames where people are "
+                    "No person stands before the depth cameras at the beginning; begin with --frames where people are "
                     "seen, and record the empty room again if it has changed."
                 )
             raise EvidenceError(
-                "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
+                "No person stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
                 "person; begin with --frames where people are seen by three cameras, and check the masks with "
                 "`hypose silhouettes`."
             )

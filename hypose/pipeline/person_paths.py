@@ -140,7 +140,7 @@ class KnownPerson:
         """The sentence that this person was not found."""
         at = self.place
         where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
-        return f"nobody was found who is {self.name}{where}"
+        return f"no person was found who is {self.name}{where}"
 
 
 def names_at_places(

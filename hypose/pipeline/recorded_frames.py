@@ -207,8 +207,8 @@ def people_frames(recording: Recording, options: TrackOptions, progress: StagePr
     depth = [v.name for v in recording.depth_views]
     if depth and options.looks_at != "silhouettes":
         raise InputError(
-            f"Several people before depth cameras ({', '.join(depth)}) are told apart by what these measure, and not "
-            f"by key points; leave out --evidence {options.looks_at}, or --people."
+            f"Several people before depth cameras ({', '.join(depth)}) are distinguished by what these measure, "
+            f"not by key points; leave out --evidence {options.looks_at}, or --people."
         )
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
     return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True), progress=progress)

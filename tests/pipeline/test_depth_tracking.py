@@ -110,7 +110,7 @@ def test_where_everybody_is_tracked_the_floor_tells_the_same():
 
 def test_where_nobody_is_found_the_floor_may_say_why():
     frames = list(lowered(scene_of("walk", "depth-2", 0.2), 0.3, nobody=True))
-    with pytest.raises(EvidenceError, match="depth1 sees the floor .* That may be why: Nobody stands"):
+    with pytest.raises(EvidenceError, match="depth1 sees the floor .* That may be why: No person stands"):
         track_people(FrameList(frames), 25.0, TrackOptions(seed=1))
 
 

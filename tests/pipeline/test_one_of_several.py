@@ -24,7 +24,7 @@ def found(name, monkeypatch, wanted, looked=()):
 def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkeypatch):
     out = found("person-1", monkeypatch, [ANNA])
     assert [f.kind for f in out.findings if f.fault] == ["fault", "other person"]
-    assert "nobody was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.findings[-1].text
+    assert "no person was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.findings[-1].text
 
 
 @pytest.mark.parametrize(
