@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute import mono, picture_to_mask, reach, shape_rows
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -41,8 +41,7 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import cache_file, failures, make_folder
 from hypose.compute.kinematics import forward_kinematics, skin
-from hypose.compute.mask_distance import shrink_mask, signed_distance
-from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
+from hypose.compute.parts import covered
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver import solve, workspace
@@ -105,21 +104,10 @@ def _points() -> None:
 
 
 def _outlines() -> None:
-    """Call the kernels of a mask's outline."""
-    mask, sizes = _mask()
-    outline_points(signed_distance(mask, sizes)[0], (32, 32), 16)
-    shrink_mask(mask[0, :30, :30], 3)
-
-
-def _parts() -> None:
-    """Call the kernels of a body's parts."""
-    (_, mesh, _, projection), (mask, _) = _toy(), _mask()
-    (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
-    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
-    covered(uv, z, mesh.faces, (h, w), closed=True)
-    bits = np.zeros((h, w // 8), np.uint8)
-    parts_against_mask(bits, drawn, (0, w, 0, h), 1, uv, z)
-    touched_area(bits, bits, (w, h), 1, uv)
+    """Call the kernels of a mask's outline and of a body's parts."""
+    outline_points(np.zeros((32, 32), np.float32), (32, 32), 16)
+    mesh = _toy()[1]
+    covered(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32), closed=True)
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -164,9 +152,9 @@ def _monocular() -> None:
 KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
-    "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
+    "outlines": (_outlines,),
     "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
-    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
+    "pictures": (picture_to_mask.warm_up,),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
