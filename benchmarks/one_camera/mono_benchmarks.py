@@ -24,7 +24,7 @@ from benchmarks.one_camera.mono_runs import (
     track_scene,
 )
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
-from hypose.compute.mono import GAUSSIAN
+from hypose.compute.losses import quadratic
 from hypose.geometry import Image
 from hypose.tracking.monocular.problem import grey
 from hypose.tracking.monocular.settings import MonoSettings
@@ -59,7 +59,7 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     one seed, its first second."""
     seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
-    variants = {"robust_3": ARM, "robust_1": SINGLE, "gaussian_1": SINGLE.robust(GAUSSIAN)}
+    variants = {"robust_3": ARM, "robust_1": SINGLE, "gaussian_1": SINGLE.robust(quadratic)}
     scenes = (arm_scene(s) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "mean_error_mm", seconds)
     return BenchReport(tuple(rows), _settings(seeds, seconds))
@@ -76,12 +76,12 @@ def mono_body(options: BenchOptions) -> BenchReport:
     seeds = options.seed_range(8)
     seconds = 0.5 if options.quick else 1.2
     mocap = _mocap(options)
-    variants = {"full": BODY, "gaussian": BODY.robust(GAUSSIAN), KEYPOINTS: BODY, "as_printed": LISTED}
+    variants = {"full": BODY, "gaussian": BODY.robust(quadratic), KEYPOINTS: BODY, "as_printed": LISTED}
     scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
     if not options.quick:
         longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
-        pair = {"full/8s": BODY, "gaussian/8s": BODY.robust(GAUSSIAN)}
+        pair = {"full/8s": BODY, "gaussian/8s": BODY.robust(quadratic)}
         rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
     return BenchReport(tuple(rows), {**_settings(seeds, seconds), "captured_motion": mocap is not None})
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import mono, picture_to_mask, reach, shape_rows
+from hypose.compute import picture_to_mask, reach, shape_rows
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -46,6 +46,7 @@ from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver import solve, workspace
 from hypose.compute.threads import default_threads
+from hypose.compute.zbuffer import rasterize
 
 # it imports the same modules as this process, and nothing from the folder in which it runs
 _PROGRAM = (
@@ -144,9 +145,9 @@ def _depth() -> None:
 
 
 def _monocular() -> None:
-    """Call the kernels of one camera."""
-    tree, mesh, q, projection = _toy()
-    mono.warm_up(tree, mesh, q, projection[0])
+    """Call the kernels that draw a body for one camera."""
+    mesh = _toy()[1]
+    rasterize(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32))
 
 
 KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
