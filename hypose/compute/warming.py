@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import picture_to_mask, reach, shape_rows
+from hypose.compute import picture_to_mask, reach
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -154,15 +154,13 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines,),
-    "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
     "pictures": (picture_to_mask.warm_up,),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
 """Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points
-and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. shape: rows
-by which a body is fitted to outlines. pictures: masks from pictures. monocular: one camera. depth: poses from depth as
-well.
+and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. pictures:
+masks from pictures. monocular: one camera. depth: poses from depth as well.
 """
 
 
@@ -183,7 +181,7 @@ def _run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "pictures")
 """Groups of kernels that mask tracking needs."""
 
 

@@ -242,7 +242,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
+    masks = ("solver", *depth, "scorer", "outlines")
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
