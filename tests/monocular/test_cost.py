@@ -13,10 +13,10 @@ from hypose.body.default_body import human
 from hypose.compute import mono
 from hypose.compute.mono import FlowArrays, FlowSettings
 from hypose.evidence.frame import Picture
-from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.problem import PictureProblem, field_of, fixed_parts, frame_evidence, newton_descent
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
+from hypose.tracking.smoothing import soles_of
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False)
