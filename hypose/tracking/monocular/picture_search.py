@@ -48,7 +48,7 @@ from hypose.tracking.monocular.problem import (
     score,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from hypose.tracking.pose_covariance import PoseUncertainty, packed
+from hypose.tracking.refinement import PoseUncertainty, packed
 
 _MARGIN = 40
 """px around the person in which flow is computed"""

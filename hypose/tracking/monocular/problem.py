@@ -26,9 +26,9 @@ from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array
-from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.picture_rows import FlowTargets, edge_rows, flow_rows, flow_targets, view_of
 from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.smoothing import soles_of
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
