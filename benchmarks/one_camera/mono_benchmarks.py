@@ -26,7 +26,7 @@ from benchmarks.one_camera.mono_runs import (
 )
 from benchmarks.papers.superquadrics import superquadric_body
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
-from hypose.compute.mono import GAUSSIAN
+from hypose.compute.losses import quadratic
 from hypose.geometry import Image
 from hypose.tracking.monocular.problem import grey
 from hypose.tracking.monocular.settings import MonoSettings
@@ -61,7 +61,7 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     (hypose.tracking.monocular.recipe). quick: one seed, its first second."""
     seeds = options.seed_range(20, first=FIRST_ARM)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
-    variants = {"robust_3": ARM, "robust_1": SINGLE, "gaussian_1": SINGLE.robust(GAUSSIAN)}
+    variants = {"robust_3": ARM, "robust_1": SINGLE, "gaussian_1": SINGLE.robust(quadratic)}
     scenes = (arm_scene(s) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "mean_error_mm", seconds)
     return BenchReport(tuple(rows), _settings(seeds, seconds))
@@ -80,7 +80,7 @@ def mono_body(options: BenchOptions) -> BenchReport:
     mocap = _mocap(options)
     variants = {
         "full": BODY,
-        "gaussian": BODY.robust(GAUSSIAN),
+        "gaussian": BODY.robust(quadratic),
         KEYPOINTS: BODY,
         "as_printed": LISTED,
         SUPERQUADRICS: BODY,
@@ -89,7 +89,7 @@ def mono_body(options: BenchOptions) -> BenchReport:
     rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
     if not options.quick:
         longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
-        pair = {"full/8s": BODY, "gaussian/8s": BODY.robust(GAUSSIAN)}
+        pair = {"full/8s": BODY, "gaussian/8s": BODY.robust(quadratic)}
         rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
     return BenchReport(tuple(rows), {**_settings(seeds, seconds), "captured_motion": mocap is not None})
 
