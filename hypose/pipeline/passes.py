@@ -75,7 +75,14 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
+from hypose.tracking.error_model import (
+    as_mixture,
+    evidence_of,
+    judged,
+    needs_review,
+    not_in_set,
+    probability_by_spread,
+)
 from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
@@ -517,8 +524,8 @@ def judge_joints(clip: ClipState) -> ClipState:
     """Estimate the errors of the joints, and add findings on the clip as a whole.
 
     The motion gets the error probability and covariance of each joint, the sd of the angles, and its frames of low
-    confidence; of one camera, whose uncertainty is in its modes, the frames of low confidence alone. Without a motion
-    nothing is done.
+    confidence; of one camera, whose uncertainty is in its modes, the error probability by the covariance, and the
+    frames of low confidence. Without a motion nothing is done.
     """
     if clip.motion is None:
         return clip
@@ -552,7 +559,9 @@ def _assess_picture(clip: ClipState) -> ClipState:
     deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
-    motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
+    low_confidence = low_confidence if before is None else before | low_confidence
+    p = probability_by_spread(motion.joint_covariance).astype(np.float32)
+    motion = replace(motion, low_confidence=low_confidence, error_probability=p)
     found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
     return replace(clip, motion=motion).with_findings(*found)
 
