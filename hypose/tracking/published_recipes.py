@@ -138,7 +138,9 @@ def apf(
     between_layers = AdaptiveDiffusion(scale, s.lower, s.upper, sigma)
     rows = []
     for n in range(layers if betas is None else len(betas)):
-        step = between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), max(n - 1, 0)))
+        step = (
+            between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), max(n - 1, 0)))
+        )
         rows.append(Layer(step, _weigh(annealing_rate_of(n, betas, survival)), systematic, f"annealing {n}"))
     return _published("apf", rows, s, particles)
 
