@@ -545,7 +545,7 @@ TARGETS = (
         (
             Figure("mean_error_mm", "robust_3/whole_clip", at_most=80),
             Figure("hand_kept", "robust_3/whole_clip", at_least=16),
-            Figure("mean_error_mm", "gaussian_1"),
+            Figure("auroc", "robust_3/whole_clip"),
         ),
     ),
     Benchmark(
