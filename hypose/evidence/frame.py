@@ -208,6 +208,25 @@ class SensorJoints:
         if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
             raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
 
+    @property
+    def measured_depth(self) -> list[Array]:
+        """Depth maps at the pixels of the joints: one array (K, J), m, 0 where there is no depth (a hole, or outside
+        the picture); none where the frame has no depth maps.
+        """
+        if self.joint_depth is not None:
+            return [self.joint_depth]
+        if self.depth is None or self.intrinsics is None:
+            return []
+        z = self.positions[..., 2]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            u = self.intrinsics[:, 0, 0, None] * self.positions[..., 0] / z + self.intrinsics[:, 0, 2, None]
+            v = self.intrinsics[:, 1, 1, None] * self.positions[..., 1] / z + self.intrinsics[:, 1, 2, None]
+        height, width = self.depth.shape[1:]
+        ok = np.isfinite(u) & np.isfinite(v) & (z > 0)
+        ok &= (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+        x, y = np.where(ok, np.rint(u), 0).astype(np.intp), np.where(ok, np.rint(v), 0).astype(np.intp)
+        return [np.where(ok, self.depth[np.arange(len(z))[:, None], y, x], 0.0).astype(np.float64)]
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -223,6 +242,15 @@ class Picture:
     image: NDArray[np.uint8]
     before: NDArray[np.uint8] | None = None
     mask: NDArray[np.uint8] | None = None
+
+    @property
+    def silhouettes(self) -> list[Silhouettes]:
+        """The mask as silhouettes of one view: one element, or none where the mask is not known."""
+        if self.mask is None:
+            return []
+        return [
+            Silhouettes((self.mask != 0).astype(np.uint8)[None], CameraRig((self.camera,)), np.ones(1, bool), ("",))
+        ]
 
 
 @dataclass(frozen=True)
@@ -279,6 +307,10 @@ class Frame:
         raise EvidenceError(
             f"Frame {self.index} carries no {kind.__name__}; choose an evidence that the recording has."
         )
+
+    def without(self, *kinds: type) -> Frame:
+        """Copy the frame and leave out its pieces of evidence of some classes."""
+        return replace(self, **{name: None for name, piece in self.pieces.items() if isinstance(piece, kinds)})
 
     def unseen(self) -> Frame:
         """Copy the frame and mark its masks, key points and depth maps as not usable, for a person who is not there."""

@@ -16,6 +16,7 @@ Limits: with these rules the noise lies between 0.42 and 0.74 only, and "F high"
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -107,7 +108,7 @@ def confidence_step(
     memory: ConfidenceState,
     positions: Array,
     state: NDArray[np.uint8],
-    depth: Array | None,
+    depth: Sequence[Array],
     times: Array,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
@@ -117,7 +118,7 @@ def confidence_step(
     memory: memory of the frames before.
     positions: (K, 15, 3) m in the sensors' frames.
     state: (K, 15) joint states.
-    depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
+    depth: one array (K, 15) m, depth map at the joints' pixels, 0 = hole; none without depth maps.
     times: (K,) s of the reports.
     settings: settings of the measures.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
@@ -132,8 +133,8 @@ def confidence_step(
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
     off, held = np.zeros(state.shape), memory.held
     lengths, samples = memory.lengths, memory.samples
-    if depth is not None:
-        off, held = depth_error(positions[..., 2], depth, held, settings)
+    for measured in depth:
+        off, held = depth_error(positions[..., 2], measured, held, settings)
     if settings.merge_bones:
         lengths, samples, deviation = _bone_deviation(positions, state, lengths, samples)
         off = np.maximum(off, np.minimum(2 * deviation, settings.clip_m))

@@ -13,7 +13,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.depth_people import people_seen
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
@@ -79,7 +79,7 @@ def follow_places(
     paths: list[Path] = []
     for t in numbers:
         frame = frame_at(t)
-        if frame.silhouettes is None:
+        if not frame.of(Silhouettes):
             continue
         others = known(t)
         here = [h for h in people_seen(frame, others) if h.tall or not others]

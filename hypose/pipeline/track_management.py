@@ -10,7 +10,7 @@ import numpy as np
 
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_people import own_frame
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
 from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
@@ -43,7 +43,7 @@ def update_appearance(
     """
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
-        if frame.colours is None or p not in there:
+        if not frame.of(Colours) or p not in there:
             continue
         w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
         for q in near:

@@ -94,10 +94,9 @@ def _recorded(folder: Path) -> GestureSource:
     pictures = recording.pictures()
 
     def take(phase: str) -> Taken | None:
-        frame, depth = next(pictures, (None, None))
-        if frame is None or depth is None:
-            return None
-        return Taken(frame.time, depth, (frame.x, frame.y) if frame.gesture else None)
+        for frame, depth in pictures:  # the next one
+            return Taken(frame.time, depth, (frame.x, frame.y) if frame.gesture else None)
+        return None
 
     return GestureSource(folder.name, recording.lens, recording.size, take)
 

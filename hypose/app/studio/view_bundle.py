@@ -131,7 +131,7 @@ class ViewResult:
 
 def pictured(recording: Recording) -> list[str]:
     """Return the names of the cameras that have pictures, or masks in their place."""
-    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.source or v.masks]
+    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.has_pictures]
 
 
 def view_bundle(result: ViewResult) -> bytearray:
@@ -410,7 +410,7 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
         return ViewResult(motion=motion, body=body, **more)
     shifts = [v.image_shift for v in recording.views]
     cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording), "date": ""}
-    files = [v.source or v.masks or v.depth or v.keypoints for v in recording.views]
+    files = [v.source or v.files.get("masks") or v.files["keypoints"] for v in recording.views]
     with contextlib.suppress(OSError, StopIteration):
         cameras["date"] = time.strftime("%Y-%m-%d", time.localtime(next(filter(None, files)).stat().st_mtime))
     return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
