@@ -1,7 +1,7 @@
 """Fuse the skeletons of one person in a recorded clip (`fuse_clip`).
 
 The sensors are registered and the bone lengths measured over the whole clip; then one of the methods fuses it frame by
-frame. For skeletons that arrive live see `hypose.fusion.live`.
+frame. For skeletons that arrive live see `hypose.fusion.people`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import (
     DOUBTFUL_P,
     FitEstimate,
@@ -37,7 +36,17 @@ from hypose.fusion.register import (
     measured_joint_depth,
     register,
 )
-from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmEstimate, SwarmSettings, start_swarm, swarm_step
+from hypose.fusion.swarm import (
+    IMPROVED,
+    PUBLISHED,
+    SwarmEstimate,
+    SwarmSettings,
+    confidence_step,
+    normalised,
+    start_confidence,
+    start_swarm,
+    swarm_step,
+)
 from hypose.geometry import Array
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"

@@ -23,8 +23,7 @@ from hypose.calibration.depth_registration import (
 )
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, HyposeError, InputError
-from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_evidence import Depth, SurfacePoints, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
@@ -334,7 +333,7 @@ def register_depth(
     """Register depth cameras by the motion of one person that each of them saw.
 
     clips: frames of each sensor; its rig is that sensor alone, in a world of its own with z up and the floor at z = 0
-        (`hypose.evidence.depth_floor.camera_on_floor`); times are on its own clock.
+        (`hypose.evidence.depth_evidence.camera_on_floor`); times are on its own clock.
     frame_rate: Hz.
     progress: called with stage, done, total; raising KeyboardInterrupt in it ends the work.
     Returns: the cameras in the first one's world.

@@ -12,10 +12,8 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.depth_people import people_seen
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.hull_people import HullPerson
-from hypose.evidence.shared_masks import Other
+from hypose.evidence.people import HullPerson, Other, people_seen
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.trace import later, trace_of, with_trace

@@ -9,10 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
-from hypose.evidence.shared_masks import Other, without
+from hypose.evidence.people import FEWEST_VIEWS, HullPerson, Other, own_frame, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS

@@ -11,8 +11,8 @@ from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.people import Other, own_silhouettes, without
 from hypose.evidence.prefetch import outlines, prepared_masks
-from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
 from tests import reference

@@ -33,12 +33,15 @@ import yaml
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, so3_log
-from hypose.io.calibrations.calibration_camera import (
+from hypose.io.calibrations.camera_tables import (
     MAX_FILE_BYTES,
     RigFile,
+    add_cameras,
     as_numbers,
+    strange_keys,
+    tables_of,
+    unit_of,
 )
-from hypose.io.calibrations.camera_tables import add_cameras, strange_keys, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import open_file, read_bytes, read_json, read_toml, toml_key, toml_lines, write_text
 from hypose.io.formats import Source

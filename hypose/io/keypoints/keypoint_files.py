@@ -28,7 +28,7 @@ import numpy as np
 from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_systems import read_plain_pickle
+from hypose.io.calibrations.calibration_formats import read_plain_pickle
 from hypose.io.file_names import last_number
 from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
 from hypose.io.formats import Format, FormatTable, Source

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
-from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.evidence.keypoints import IMPLAUSIBLE, KEYPOINT_SETS, arranged, bone_excess, keypoint_names, set_of_points
 from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text

@@ -15,11 +15,13 @@ from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
 from hypose.io.formats import Format, FormatTable
 from hypose.io.motions.animation import write_bvh
-from hypose.io.motions.c3d import joint_residuals, read_c3d, write_c3d
 from hypose.io.motions.marker_files import (
+    joint_residuals,
+    read_c3d,
     read_mot,
     read_trc,
     write_angles_csv,
+    write_c3d,
     write_joints_csv,
     write_mot,
     write_trc,
@@ -120,7 +122,7 @@ def _c3d(path: Path, motion: Motion, body: Body) -> None:
 
 
 def _glb(path: Path, motion: Motion, body: Body) -> None:
-    from hypose.io.motions.gltf import write_glb  # takes long to import
+    from hypose.io.motions.animation import write_glb  # takes long to import
 
     write_glb(path, motion, body)
 
