@@ -490,17 +490,11 @@ class Association:
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
-        expected = self._expected()
-        seen, which = self._taken(found, is_person, free, expected)
-        new = self._born(found, is_person & free, free)
-        if new:
-            expected = self._expected()
-            again, chosen = np.zeros((len(found), len(new), *found.shape[2:])), np.full((len(found), len(new)), -1)
-            for n, q in enumerate(new):
-                for c, p in q:
-                    again[c, n], chosen[c, n] = found[c, p], p
-            seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
+        which = self._taken(found, is_person, free, self._expected())
+        which = np.concatenate([which, self._born(found, is_person & free, free)], 1)
         if self._alive:
+            expected = self._expected()
+            seen = _chosen(found, which)
             self._complete(seen, found, free, free & ~is_person, which, expected)
             seen = self._right_sides(seen, expected)
             world, _ = meet(self._views, seen, self.settings.near, expected)
@@ -540,35 +534,29 @@ class Association:
 
     def _taken(
         self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
-    ) -> tuple[Array, NDArray[np.int64]]:
+    ) -> NDArray[np.int64]:
         """Assign detected people to the tracked people, at most one to one in each view and within `settings.gate`.
 
         found: (C, P, K, columns) points of the P detected people of each view.
         is_person: (C, P) whether a detection has enough points for a person.
         free: (C, P) whether a detection is not assigned yet; assigned ones are set to False.
         expected: (N, K, 3) predicted points of the tracked people, m.
-        Returns: points (C, N, K, columns) as they are named; number of the detection (C, N), -1 for none.
+        Returns: (C, N) number of each person's detection, -1 for none.
         """
         from scipy.optimize import linear_sum_assignment  # takes long to import
 
-        n = len(expected)
-        seen, which = np.zeros((len(found), n, *found.shape[2:])), np.full((len(found), n), -1)
-        if n == 0:
-            return seen, which
-        o = self.settings
+        which = np.full((len(found), len(expected)), -1)
+        if not len(expected):
+            return which
         plain, turned = self._both(found, expected)
         each = np.where(self._better_exchanged(plain, turned)[..., self._group], turned, plain)
-        cost = mean_of_known(each, _LEAST_POINTS)
-        cost = np.where(is_person[:, None], cost, NOT_COMPARABLE_M)
+        cost = np.where(is_person[:, None], mean_of_known(each, _LEAST_POINTS), NOT_COMPARABLE_M)
+        gate = self.settings.gate
         for c in range(len(found)):
-            rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
-            for i, j in zip(rows, columns, strict=True):
-                if cost[c, i, j] <= o.gate:
-                    which[c, i] = j
-                    free[c, j] = False
-        views, who = np.nonzero(which >= 0)
-        seen[views, who] = found[views, which[views, who]]
-        return seen, which
+            rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * gate))
+            near = cost[c, rows, columns] <= gate
+            which[c, rows[near]], free[c, columns[near]] = columns[near], False
+        return which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
@@ -620,54 +608,39 @@ class Association:
             person.votes += kept[:, n].sum(0) - exchange[:, n].sum(0)
         return np.where(exchange[..., self._group][..., None], seen[:, :, self._twin], seen)
 
-    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Start new people from the remaining candidates; return (view, candidate) pairs of each.
+    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Start new people from the remaining candidates, and add them to the tracked ones.
+
+        They start where rays meet in points whose bones have a body's lengths, away from all tracked people.
 
         found: (C, P, K, 3) candidates of each view.
         is_person: (C, P) free candidates with enough points for a person.
         free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
-        The new people are added to the tracked ones.
+        Returns: (C, M) number of each new person's detection, -1 for none.
         """
-        o = self.settings
+        o, new = self.settings, list[NDArray[np.int64]]()
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
-            return []
+            return np.zeros((len(found), 0), dtype=np.int64)
         apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)
-        new = []
         for members in clusters(apart, o.birth):
-            q = [(int(view[m]), int(number[m])) for m in members]
-            seen = np.zeros((len(found), 1, *found.shape[2:]))
-            for c, p in q:
-                seen[c, 0] = found[c, p]
-            points, _ = meet(self._views, seen, o.near)
-            if not self._plausible(points[0]) or self._taken_already(points[0]):
+            which = np.full(len(found), -1)
+            which[view[members]] = number[members]
+            points = meet(self._views, _chosen(found, which[:, None]), o.near)[0][0]
+            length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
+            right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
+            if len(right) < _LEAST_POINTS or float(np.mean(right)) < o.plausible:
                 continue
-            needed = 1 if len(q) > 2 else self._trial
-            far = self._stale + 1
-            t = _Followed(
-                self._frame,
-                points[0],
-                np.zeros((self._k, 3)),
-                np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
-                np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
-                np.zeros(len(_GROUPS) + 1, dtype=np.int64),
-                needed,
-            )
-            self._alive.append(t)
-            for c, p in q:
-                free[c, p] = False
-            new.append(q)
-        return new
-
-    def _plausible(self, points: Array) -> bool:
-        """Decide whether the bones of points (K, 3), m, have a body's lengths."""
-        length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
-        right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-        return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
-
-    def _taken_already(self, points: Array) -> bool:
-        """Decide whether a tracked person is already at the place of points (K, 3), m."""
-        return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
+            if any(_apart(t.points, points) < o.apart for t in self._alive):
+                continue
+            groups, stale = len(_GROUPS) + 1, np.where(np.isfinite(points[:, 0]), 0, self._stale + 1).astype(np.int64)
+            exchanged, votes = np.zeros((len(found), groups), dtype=np.bool_), np.zeros(groups, dtype=np.int64)
+            needed = 1 if len(members) > 2 else self._trial
+            start = self._frame, points, np.zeros((self._k, 3)), stale
+            self._alive.append(_Followed(*start, exchanged, votes, needed))
+            free[view[members], number[members]] = False
+            new.append(which)
+        return np.array(new, dtype=np.int64).reshape(-1, len(found)).T
 
     def _complete(
         self,
@@ -732,21 +705,19 @@ class Association:
 
     def _end(self) -> None:
         """End the tracks of people who are no longer seen, never were accepted, or are the same as another person."""
-        alive = []
-        for t in self._alive:
-            age = len(t.seen)
-            lost = t.missed > self._patience or (age > 3 and t.hits < 2)
-            (self._ended if lost else alive).append(t)
-        for i, a in enumerate(alive):
-            for b in alive[i + 1 :]:
-                if a.needed and b.needed and _apart(a.points, b.points) < self.settings.merge:
-                    less = a if a.hits < b.hits else b
-                    less.needed = 0
-        self._ended += [t for t in alive if t.needed == 0]
-        for t in self._ended:
-            if t.needed == 0:
-                t.needed = self._trial
-        self._alive = [t for t in alive if t not in self._ended]
+        lost = [t for t in self._alive if t.missed > self._patience or (len(t.seen) > 3 and t.hits < 2)]
+        same = list[_Followed]()
+        for a, b in itertools.combinations([t for t in self._alive if t not in lost], 2):
+            if a not in same and b not in same and _apart(a.points, b.points) < self.settings.merge:
+                same.append(a if a.hits < b.hits else b)
+                same[-1].needed = self._trial
+        self._ended += lost + same
+        self._alive = [t for t in self._alive if t not in lost + same]
+
+
+def _chosen(found: Array, which: NDArray[np.int64]) -> Array:
+    """Collect the points (C, N, K, columns) of the candidates `which` (C, N) of each view; 0 where that is -1."""
+    return np.where((which >= 0)[..., None, None], found[np.arange(len(found))[:, None], which], 0.0)
 
 
 def _apart(a: Array, b: Array) -> float:

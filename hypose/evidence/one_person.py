@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -73,13 +74,11 @@ def one_person(
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
     shown = np.array([[_how_many(people) > 0 for people in column] for column in columns]).T  # (T, C)
-    by_view: dict[int, list[NDArray[np.int64]]] = {}
 
+    @cache
     def of_view(c: int) -> list[NDArray[np.int64]]:
-        if c not in by_view:
-            found = view_tracks(columns[c], max(3, round(_PATIENCE * frame_rate)))
-            by_view[c] = [t for t in found if (t >= 0).sum() >= max(3, _PART * frames)] or found[:1]
-        return by_view[c]
+        found = view_tracks(columns[c], max(3, round(_PATIENCE * frame_rate)))
+        return [t for t in found if (t >= 0).sum() >= max(3, _PART * frames)] or found[:1]
 
     width = max((p.shape[2] for column in columns for p in column if p is not None and len(p)), default=3)
     several = max((_how_many(p) for column in columns for p in column), default=0) > 1

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from typing import Any
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -149,17 +148,12 @@ def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: fl
         return
     drawn = shape.drawn(view)[top - y0 : bottom - y0, left - x0 : right - x0]
     framed = cv2.copyMakeBorder(drawn, px, px, px, px, cv2.BORDER_CONSTANT, value=0)
-    wide = np.asarray(cv2.dilate(framed, _ellipse(px)), np.uint8)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
+    wide = np.asarray(cv2.dilate(framed, disc), np.uint8)
     top, left = top - px, left - px
     y0, y1 = max(within[0], top), min(within[1], bottom + px)
     x0, x1 = max(within[2], left), min(within[3], right + px)
     ignored[y0:y1, x0:x1] |= wide[y0 - top : y1 - top, x0 - left : x1 - left]
-
-
-@cache
-def _ellipse(radius: int) -> cv2.typing.MatLike:
-    """Build a filled ellipse of 2 radius + 1 px as a kernel of OpenCV."""
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
@@ -178,48 +172,34 @@ def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
     return replace(silhouettes, ignored=ignored)
 
 
-def own_silhouettes(
-    silhouettes: Silhouettes, own: StandingShape, others: Sequence[Other], anywhere: bool = False
-) -> Silhouettes:
-    """Extract the evidence for one person from masks of several people.
+def _own_mask(
+    silhouettes: Silhouettes, c: int, own: StandingShape, others: Sequence[Other], anywhere: bool
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None, Sequence[int], int, str]:
+    """Extract the evidence for one person from the mask of one view that shows several people.
 
-    own: shape where the person is expected.
-    others: all other people.
-    anywhere: the person was lost and may be anywhere in the masks that no other person covers.
-    Returns: silhouettes; views without other people nearby have no ignored pixels; a view in which the person is not
-        expected is not usable.
+    c: index of the view.
+    own, others, anywhere: as for `own_frame`.
+    Returns: mask (h, w); ignored pixels (h, w), None where no other person is nearby; box y0, y1, x0, x1 and area of
+        the person, px; why the view is not usable, empty where it is.
     """
-    sizes, boxes = silhouettes.rig.sizes.tolist(), own.boxes.copy()
-    masks, ignored = np.zeros_like(silhouettes.masks), None
-    usable, reasons = np.array(silhouettes.usable, dtype=np.bool_), list(silhouettes.reasons)
-    areas = np.zeros(len(boxes), np.int64)
-    for c, (w, h) in enumerate(sizes):
-        y0, y1, x0, x1 = boxes[c].tolist()
-        if not usable[c]:
-            continue
-        if anywhere:
-            part = (0, h, 0, w)
-        elif y1 <= y0 or (y1 - y0) * (x1 - x0) < _SMALLEST_PX:
-            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: the person is out of view"
-            continue
-        else:
-            m = max(_MARGIN_PX, round(_NEARBY * max(y1 - y0, x1 - x0)))
-            part = (max(y0 - m, 0), min(y1 + m, h), max(x0 - m, 0), min(x1 + m, w))
-        at = (c, slice(part[0], part[1]), slice(part[2], part[3]))
-        masks[at] = silhouettes.masks[at]
-        near = [o for o in others if _meet(o, c, part)]
-        if near:
-            ignored = np.zeros_like(masks) if ignored is None else ignored
-            for one in near:
-                _hide(ignored[c], one.shape, c, one.widened, part)
-            areas[c] = np.count_nonzero(own.drawn(c))
-        if anywhere and y1 <= y0:
-            boxes[c] = part
-        known = masks[at] if ignored is None else masks[at] > ignored[at]
-        if not known.any():
-            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: no part of the person is visible"
-    expected = None if ignored is None else Expected(boxes, areas)
-    return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)
+    mask, ignored, area = np.zeros_like(silhouettes.masks[c]), None, 0
+    (w, h), (y0, y1, x0, x1) = silhouettes.rig.sizes[c].tolist(), own.boxes[c].tolist()
+    part = (0, h, 0, w)
+    if not anywhere:
+        if y1 <= y0 or (y1 - y0) * (x1 - x0) < _SMALLEST_PX:
+            return mask, None, own.boxes[c], 0, "the person is out of view"
+        m = max(_MARGIN_PX, round(_NEARBY * max(y1 - y0, x1 - x0)))
+        part = (max(y0 - m, 0), min(y1 + m, h), max(x0 - m, 0), min(x1 + m, w))
+    at = slice(part[0], part[1]), slice(part[2], part[3])
+    mask[at] = silhouettes.masks[c][at]
+    if near := [o for o in others if _meet(o, c, part)]:
+        ignored = np.zeros_like(mask)
+        for one in near:
+            _hide(ignored, one.shape, c, one.widened, part)
+        area = np.count_nonzero(own.drawn(c))
+    known = mask[at] if ignored is None else mask[at] > ignored[at]
+    box = part if anywhere and y1 <= y0 else own.boxes[c]
+    return mask, ignored, box, area, "" if known.any() else "no part of the person is visible"
 
 
 def _meet(other: Other, view: int, part: Sequence[int]) -> bool:
@@ -623,90 +603,80 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
 
 
 def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
-    """Extract the evidence for one person from a frame of several people; frame: silhouettes, depth or both, showing
-    several people.
+    """Extract the evidence for one person from a frame of several people.
+
+    frame: silhouettes, depth or both, showing several people.
     own: shape where the person is expected.
     others: shapes of all other people.
     anywhere: the person was lost and may be anywhere that no other person covers.
-    Returns: the frame with the evidence of this person alone.
+    Returns: the frame with the evidence of this person alone. Views without other people nearby have no ignored pixels;
+        a view in which the person is not expected, or not visible, is not usable.
     """
-    if frame.silhouettes is None:
+    given, depth = frame.silhouettes, frame.depth
+    if given is None:
         return frame
-    if frame.depth is None:
-        return replace(frame, silhouettes=own_silhouettes(frame.silhouettes, own, others, anywhere))
-    silhouettes, depth = own_depth(frame.silhouettes, frame.depth, own, others, anywhere)
-    colour = frame.silhouettes.usable & ~frame.depth.usable
-    if colour.any():
-        alone = replace(frame.silhouettes, usable=colour)
-        silhouettes = _nearby(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
-    return replace(frame, silhouettes=silhouettes, depth=depth)
+    masks, ignored, shared = np.zeros_like(given.masks), np.zeros_like(given.masks), False
+    usable, reasons = np.array(given.usable, dtype=np.bool_), list(given.reasons)
+    boxes, areas = own.boxes.copy(), np.zeros(len(usable), np.int64)
+    mine, taken = (masks, masks) if depth is None else _nearest_person(depth, own, others, anywhere)
+    for c in np.flatnonzero(usable).tolist():
+        if depth is None or not depth.usable[c]:
+            masks[c], hidden, boxes[c], areas[c], reason = _own_mask(given, c, own, others, anywhere)
+        else:
+            masks[c], hidden, boxes[c], areas[c], reason = _own_pixels(depth, c, own, mine[c], taken[c] > 0)
+        if hidden is not None:
+            ignored[c], shared = hidden, True
+        if reason:
+            usable[c], reasons[c] = False, f"{given.rig.names[c]}: {reason}"
+    expected = Expected(boxes, areas) if shared else None
+    outlines = Silhouettes(masks, given.rig, usable, tuple(reasons), ignored if shared else None, expected)
+    if depth is not None:
+        measured = depth.usable & usable
+        depth = replace(depth, person=masks * depth.usable[:, None, None].astype(np.uint8), usable=measured)
+    return replace(frame, silhouettes=outlines, depth=depth)
 
 
-def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
-    """Combine silhouettes of depth cameras with those of colour cameras, where `colour` (C,).
+def _nearest_person(
+    depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Find the pixels of depth maps (C, h, w) that belong to a person, and those that belong to others.
 
-    of_depth: usable in the views of depth cameras.
-    of_colour: usable in those where `colour` is true.
-    """
-
-    def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-        return np.where(colour.reshape(-1, *(1,) * (a.ndim - 1)), b, a)
-
-    reasons = tuple(b if c else a for a, b, c in zip(of_depth.reasons, of_colour.reasons, colour, strict=True))
-    masks, usable = merged(of_depth.masks, of_colour.masks), merged(of_depth.usable, of_colour.usable)
-    ignored, expected = of_depth.ignored, of_depth.expected
-    if of_colour.ignored is not None and of_colour.expected is not None:
-        ignored = merged(np.zeros_like(masks) if ignored is None else ignored, of_colour.ignored)
-        boxes, areas = of_colour.expected.boxes, of_colour.expected.areas
-        if expected is not None:
-            boxes, areas = merged(expected.boxes, boxes), merged(expected.areas, areas)
-        expected = Expected(boxes, areas)
-    return Silhouettes(masks, of_depth.rig, usable, reasons, ignored, expected)
-
-
-def own_depth(
-    silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
-) -> tuple[Silhouettes, Depth]:
-    """Extract the depth and the silhouettes of one person from maps that show several people.
-
-    own: shape where the person is expected.
-    others: shapes of all other people.
-    anywhere: the person was lost and may be anywhere that no other person covers.
-    Returns: silhouettes and depth of the person; views of colour cameras are marked as not usable.
+    own, others, anywhere: as for `own_frame`.
     """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)
     for other in others:
         theirs_m = np.minimum(theirs_m, _away(other.shape, at, points))
-    mine = (mine_m <= theirs_m) & (mine_m < _REACH_M)
-    if anywhere:
-        mine = mine | (theirs_m > _EXPLAINED_M)
-    masks, taken, ignored = (np.zeros_like(depth.person) for _ in range(3))
+    mine = (mine_m <= theirs_m) & (mine_m < _REACH_M) | (anywhere & (theirs_m > _EXPLAINED_M))
+    masks, taken = np.zeros_like(depth.person), np.zeros_like(depth.person)
     masks[tuple(at[mine].T)] = 1
     taken[tuple(at[~mine & (theirs_m < np.inf)].T)] = 1
-    usable, reasons = silhouettes.usable & depth.usable, list(silhouettes.reasons)
-    boxes, areas = own.boxes.copy(), np.zeros(len(usable), np.int64)
-    for c in np.flatnonzero(usable):
-        body, seen = masks[c], depth.maps[c]
-        if not np.count_nonzero(body) > _LEAST_PX:
-            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: no part of the person is visible"
-            body[:] = 0
-            continue
-        whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
-        # values between both sides of an edge, and holes, belong to the nearest person, as for one person alone
-        body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
-        near = (taken[c] > 0) & (seen < last)
-        rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0
-        ignored[c] = (rim | (whole & (seen < last))) & (body == 0)
-        areas[c] = max(np.count_nonzero(own.drawn(int(c))), np.count_nonzero(body))
+    return masks, taken
+
+
+def _own_pixels(
+    depth: Depth, c: int, own: StandingShape, body: NDArray[np.uint8], taken: NDArray[np.bool_]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None, Sequence[int], int, str]:
+    """Extract the evidence for one person from the depth map of one view.
+
+    c: index of the view.
+    body, taken: (h, w) pixels nearest to the person, and those nearest to others; body is changed.
+    Returns: as of `_own_mask`.
+    """
+    seen, whole, box = depth.maps[c], depth.person[c] > 0, own.boxes[c]
+    if not np.count_nonzero(body) > _LEAST_PX:
+        return np.zeros_like(body), None, box, 0, "no part of the person is visible"
+    last = float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
+    # values between both sides of an edge, and holes, belong to the nearest person, as for one person alone
+    body[whole & ~taken & (cv2.dilate(body, _EDGE) > 0)] = 1
+    rim = cv2.dilate((taken & (seen < last)).astype(np.uint8), _EDGE) > 0
+    ignored = ((rim | (whole & (seen < last))) & (body == 0)).astype(np.uint8)
+    area = max(np.count_nonzero(own.drawn(c)), np.count_nonzero(body))
+    if box[1] <= box[0]:
         x, y, w, h = cv2.boundingRect(body)
-        if boxes[c, 1] <= boxes[c, 0]:
-            boxes[c] = y, y + h, x, x + w
-    shared = bool(ignored.any())
-    expected = Expected(boxes, areas) if shared else None
-    outlines = Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored if shared else None, expected)
-    return outlines, replace(depth, person=masks, usable=usable.copy())
+        box = (y, y + h, x, x + w)
+    return body, ignored if ignored.any() else None, box, area, ""
 
 
 def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:

@@ -498,7 +498,8 @@ class Aligner:
             return True
         track = it.tracks.get(person)
         if track is None:
-            self._forget(it)
+            gone = it.newest - max(1.0, 2 * s.hold)
+            it.tracks = {p: t for p, t in it.tracks.items() if not t.times or t.times[-1] >= gone}
             if len(it.tracks) >= s.most_people:
                 raise InputError(
                     f"The sensor {sensor} reports more than {s.most_people} persons; the others are ignored."
@@ -552,11 +553,6 @@ class Aligner:
             del self._sensors[min(dead, key=lambda x: x.arrival).name]
         self._sensors[name] = _Sensor(name, s)
         return self._sensors[name]
-
-    def _forget(self, it: _Sensor) -> None:
-        gone = it.newest - max(1.0, 2 * self.settings.hold)
-        for person in [p for p, track in it.tracks.items() if track.times and track.times[-1] < gone]:
-            del it.tracks[person]
 
     # ---- out ----
 

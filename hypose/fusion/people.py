@@ -425,32 +425,52 @@ def find_place(
         if len(both) >= min(fewest, len(some)):
             pairs.append((b, p))
             skeletons.append((np.stack([x for x, _ in both]), np.stack([y for _, y in both])))
-    if not pairs:
-        return None
-    places = _centres(some)
+    few = some[:: max(1, len(some) // 5)]
+    theirs, ours = (_trunk_centres([shot[k] for shot in few]) for k in (0, 1))
+    # a person that only one side sees gives no information: count as many as both can share
+    shared = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
+    counted = np.arange(theirs.shape[1]) < shared[:, None]
+
+    def tried(i: int, exchanged: bool, instants: slice, iterations: int, penalty: float) -> tuple[float, Array] | None:
+        """Score a pairing and its transform; None with fewer than 20 common joints."""
+        source, target = (a[instants] for a in skeletons[i])
+        source, target = (source[:, MIRROR] if exchanged else source).reshape(-1, 3), target.reshape(-1, 3)
+        use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
+        if int(use.sum()) < 20:
+            return None
+        motion, apart = robust_motion(source[use], target[use], np.ones(int(use.sum())), iterations)
+        d = np.linalg.norm(transform_points(motion, theirs)[:, :, None] - ours[:, None], axis=-1)
+        nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)[counted]
+        # the mean distance of persons from tracked ones counts from 0.1 m, which is noise
+        away = max(0.0, float(np.minimum(nearest, 0.5).mean()) - 0.1) if len(nearest) else 0.0
+        return penalty * apart + away, motion
+
     quick = list[tuple[float, int, bool]]()
     # also with its sides exchanged; correct sides are the rule, so exchanged ones must fit clearly better
     for exchanged, penalty in ((False, 1.0), (True, 1.4)):
-        for i, (theirs, ours) in enumerate(skeletons):
-            few = slice(None, 2 * _LOOK * (step := max(1, len(theirs) // _LOOK)), step)
-            fit = _fit(theirs[few][:, MIRROR] if exchanged else theirs[few], ours[few], 1)
-            if fit is not None:
-                quick.append((penalty * fit[1] + _misplaced(fit[0], *places), i, exchanged))
-    found: list[tuple[float, int, int, Array]] = []
-    for _, i, exchanged in sorted(quick)[:6]:
-        (b, p), (theirs, ours) = pairs[i], skeletons[i]
-        best = _fit(theirs[:, MIRROR] if exchanged else theirs, ours, 4)
-        if best is not None:
-            found.append((best[1] + _misplaced(best[0], *places), b, p, best[0]))
+        for i, (body, _) in enumerate(skeletons):
+            step = max(1, len(body) // _LOOK)
+            if (fit := tried(i, exchanged, slice(None, 2 * _LOOK * step, step), 1, penalty)) is not None:
+                quick.append((fit[0], i, exchanged))
+    fits = [(i, tried(i, exchanged, slice(None), 4, 1.0)) for _, i, exchanged in sorted(quick)[:6]]
+    found = sorted([(*fit, *pairs[i]) for i, fit in fits if fit is not None], key=lambda f: f[0])
     if not found:
         return None
-    found.sort(key=lambda f: f[0])
-    score, b, p, motion = found[0]
+    score, motion, b, p = found[0]
     # another pairing that gives the same transform is no rival
-    rivals = [f for f in found[1:] if (f[1] == b) != (f[2] == p)]
+    rivals = [f for f in found[1:] if (f[2] == b) != (f[3] == p)]
     if score > residual or (rivals and score > distinct * rivals[0][0]):
         return None
     return motion, score
+
+
+def _trunk_centres(instants: Sequence[Mapping[int, Array]]) -> Array:
+    """Compute the trunk centres (S, P, 3), m, of the persons of each instant; NaN for those that are missing."""
+    found = [[c for joints in people.values() if (c := trunk_centre(joints)) is not None] for people in instants]
+    out = np.full((len(found), max([1, *map(len, found)]), 3), np.nan)
+    for n, centres in enumerate(found):
+        out[n, : len(centres)] = np.array(centres).reshape(-1, 3)
+    return out
 
 
 def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
@@ -491,52 +511,6 @@ def trunk_centre(joints: Array) -> Array | None:
         return None
     # each missing joint shifts the plain mean by some centimetres, which is less than the gate
     return trunk[known].mean(0)
-
-
-def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | None:
-    """Estimate where a sensor stands from skeletons of the same person, robustly.
-
-    body: (T, 15, 3) m in the sensor's frame.
-    ours: (T, 15, 3) m, joints of the tracked person in the common frame.
-    iterations: largest number of weighted solves.
-    Returns: common_from_sensor (4, 4) and the median distance, m; None with fewer than 20 common joints.
-    """
-    source, target = body.reshape(-1, 3), ours.reshape(-1, 3)
-    use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
-    if int(use.sum()) < 20:
-        return None
-    return robust_motion(source[use], target[use], np.ones(int(use.sum())), iterations)
-
-
-def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
-    """Compute the trunk centres of at most five instants: the sensor's persons (S, B, 3) and the tracked ones (S, P,
-    3).
-    """
-    some = shots[:: max(1, len(shots) // 5)]
-    out = []
-    for skeletons in ([shot[0] for shot in some], [shot[1] for shot in some]):
-        found = [[c for j in one.values() if (c := trunk_centre(j)) is not None] for one in skeletons]
-        padded = np.full((len(some), max(1, *(len(f) for f in found)), 3), np.nan)
-        for n, centres in enumerate(found):
-            padded[n, : len(centres)] = np.array(centres).reshape(-1, 3)
-        out.append(padded)
-    return out[0], out[1]
-
-
-def _misplaced(motion: Array, theirs: Array, ours: Array) -> float:
-    """Compute the mean distance of the sensor's persons to the nearest tracked ones under a motion (4, 4).
-
-    theirs, ours: (S, B, 3) and (S, P, 3) m, trunk centres as `_centres` computes them.
-    Returns: m, each distance at most 0.5, minus 0.1 for noise.
-    """
-    # a person that only one side sees gives no information: count as many as both can share
-    both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
-    counted = np.arange(theirs.shape[1]) < both[:, None]
-    if not counted.any():
-        return 0.0
-    d = np.linalg.norm(transform_points(motion, theirs)[:, :, None] - ours[:, None], axis=-1)
-    nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)
-    return max(0.0, float(np.minimum(nearest[counted], 0.5).mean()) - 0.1)
 
 
 # ---- live fusion ---------------------------------------------------------------------------------------------------

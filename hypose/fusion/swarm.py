@@ -154,7 +154,11 @@ def confidence_step(
     if depth is not None:
         off, held = depth_error(positions[..., 2], depth, held, settings)
     if settings.merge_bones:
-        lengths, samples, deviation = _bone_deviation(positions, state, lengths, samples)
+        # how far each sensor's bones deviate from their usual lengths
+        lengths, samples, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)
+        deviation, apart = np.zeros(state.shape), np.where(lengths > 0, np.abs(length - lengths), 0.0)
+        deviation[:, _LIMB] = np.where(np.isfinite(apart), apart, 0.3)
+        deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
         off = np.maximum(off, np.minimum(2 * deviation, settings.clip_m))
     if settings.merge_state:
         off = np.maximum(off, np.where(state < TRACKED, _INFERRED_M, 0.0))
@@ -212,24 +216,6 @@ def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
 _LIMB = np.array([3, 4, 6, 7, 10, 11, 13, 14])
 _LIMB_BONES = np.stack([_LIMB, jt.PARENT[_LIMB]], 1)
 _END = np.array([4, 7, 11, 14])
-
-
-def _bone_deviation(
-    positions: Array, state: NDArray[np.uint8], lengths: Array, samples: Array
-) -> tuple[Array, Array, Array]:
-    """Update the usual lengths of the limbs' bones, and compute how far each sensor's bones deviate from them.
-
-    positions: (K, 15, 3) m.
-    state: (K, 15) joint states.
-    lengths, samples: (8,) usual lengths, m, and numbers of samples so far.
-    Returns: lengths (8,) m, numbers of samples (8,), deviations (K, 15) m.
-    """
-    usual, count, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)
-    deviation = np.zeros(state.shape)
-    off = np.where(usual > 0, np.abs(length - usual), 0.0)
-    deviation[:, _LIMB] = np.where(np.isfinite(off), off, 0.3)
-    deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
-    return usual, count, deviation
 
 
 LOW, MEDIUM, HIGH = "low", "medium", "high"
@@ -471,12 +457,6 @@ class MergedWheel:
         return Hypotheses(values, log_weights, origin.astype(np.int32))
 
 
-def _recipe(settings: SwarmSettings) -> Recipe:
-    """Describe the swarm as a recipe for the common search."""
-    layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
-    return Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
-
-
 @dataclass(frozen=True)
 class SwarmState:
     """Memory of the swarm between two frames.
@@ -540,7 +520,9 @@ def swarm_step(
     turned = abs(heading - state.heading_at_restart)
     due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
-    result = search(candidates, _recipe(settings), frame, partial(stream, seed, state.frame))
+    layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
+    recipe = Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
+    result = search(candidates, recipe, frame, partial(stream, seed, state.frame))
     chosen = result.resampled
     mean = result.estimate if settings.weighted else mean_position(chosen)
     used = (chosen.origin >= 0) & np.isfinite(chosen.log_weights)

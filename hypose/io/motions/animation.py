@@ -21,6 +21,7 @@ from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import continuous_euler_zxy
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
+from hypose.body.skin_weights import vertex_normals
 from hypose.compute.arrays import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
@@ -77,11 +78,6 @@ def without_flips(quaternions: Array) -> Array:
     return np.concatenate([quaternions[:1], quaternions[1:] * flips[:, None]])
 
 
-def children(skeleton: Skeleton, joint: int) -> list[int]:
-    """List the indices of a joint's children."""
-    return [int(c) for c in np.flatnonzero(skeleton.parents == joint)]
-
-
 # ---- bvh -----------------------------------------------------------------------------------------------------------
 # BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see the module).
 #
@@ -131,7 +127,7 @@ def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list
         f"{indent}\tOFFSET {_vector(offset)}",
         f"{indent}\tCHANNELS {position} Zrotation Xrotation Yrotation",
     ]
-    below = children(skeleton, j)
+    below = np.flatnonzero(skeleton.parents == j).tolist()
     for child in below:
         _joint(skeleton, child, depth + 1, lines, order)
     if not below:
@@ -224,7 +220,7 @@ def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]
         joints = len(skeleton.joint_names)
         for j, name in enumerate(skeleton.joint_names):
             at = (Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0]
-            below = [first + k for k in children(skeleton, j)]
+            below = (first + np.flatnonzero(skeleton.parents == j)).tolist()
             node = {"rotation": [0.0, 0.0, 0.0, 1.0], "translation": at, "children": below, "name": f"{prefix}{name}"}
             nodes.append({k: v for k, v in node.items() if v})
         nodes.append({"mesh": len(meshes), "skin": len(skins), "name": f"{prefix}{body.name}"})
@@ -308,23 +304,12 @@ def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
     weights = weights / weights.sum(1, keepdims=True)
     attributes = {
         "POSITION": store.add(vertices, "VEC3", _ARRAY_BUFFER, limits=True),
-        "NORMAL": store.add(_normals(vertices, mesh.faces), "VEC3", _ARRAY_BUFFER),
+        "NORMAL": store.add(vertex_normals(vertices, mesh.faces), "VEC3", _ARRAY_BUFFER),
         "JOINTS_0": store.add(index, "VEC4", _ARRAY_BUFFER),
         "WEIGHTS_0": store.add(weights, "VEC4", _ARRAY_BUFFER),
     }
     indices = store.add(mesh.faces.astype("<u4").ravel(), "SCALAR", _ELEMENT_ARRAY_BUFFER)
     return {"attributes": attributes, "indices": indices, "mode": _TRIANGLES, "material": 0}
-
-
-def _normals(vertices: Array, faces: np.ndarray) -> Array:
-    """Compute area-weighted unit normals (V, 3) of the vertices; up for a vertex without faces."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    face = np.cross(b - a, c - a)
-    out = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(out, faces[:, k], face)
-    length = np.linalg.norm(out, axis=1, keepdims=True)
-    return np.where(length > 0, out / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
 def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
