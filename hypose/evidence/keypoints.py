@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +17,6 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.frame import Keypoints
 from hypose.geometry import Array
-from hypose.json_text import parse_json
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _LIMBS = tuple(
@@ -116,82 +114,6 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
     column = {n: i for i, n in enumerate(names)}
     parts = [n.partition("_") for n in names]
     return np.array([column.get(f"{other.get(side, side)}_{part}", i) for i, (side, _, part) in enumerate(parts)])
-
-
-def names_of_length(count: int) -> tuple[str, ...]:
-    """Return the names of the key-point set with this number of points (25: OpenPose's BODY_25).
-
-    Raises: InputError, which lists the sets, where no set has this number.
-    """
-    for names in KEYPOINT_SETS.values():
-        if len(names) == count:
-            return names
-    known = ", ".join(f"{k} ({len(v)})" for k, v in KEYPOINT_SETS.items())
-    raise InputError(f"No key-point set has {count} points; the sets are {known}.")
-
-
-def parse_openpose(
-    document: str | bytes | Mapping[str, Any],
-    names: Sequence[str] | None = None,
-    source: str = "The key-point file",
-    raw: bool = False,
-) -> Array:
-    """Read the people of one OpenPose-style JSON document.
-
-    names: the expected set (default: the set of that length).
-    source: name of the file in error messages.
-    raw: accept any number of points, and keep the scores unchanged.
-    Returns: (P, K, 3) u px, v px, confidence 0..1. A point at (0, 0), or without finite position and confidence, is
-        missing: confidence 0.
-    Raises: InputError where it is no such document.
-    """
-    if isinstance(document, (str, bytes)):
-        try:
-            document = parse_json(document)
-        except (ValueError, RecursionError) as problem:
-            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
-    found = document.get("people") if isinstance(document, Mapping) else None
-    found = [] if found == {} else found  # some writers write an empty list so
-    if not isinstance(found, list):
-        raise InputError(
-            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the '
-            f"OpenPose format."
-        )
-    people = []
-    for number, person in enumerate(found):
-        if person == {}:
-            continue
-        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
-        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
-        if flat is None:
-            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
-        try:
-            values = np.array(flat, dtype=np.float64).ravel()
-        except (TypeError, ValueError):
-            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only.') from None
-        if values.size == 0:
-            continue
-        if values.size % 3 or (names is not None and values.size != 3 * len(names)):
-            wanted = "a multiple of 3" if names is None else f"3 x {len(names)} = {3 * len(names)}"
-            raise InputError(
-                f"{source}, person {number}: {values.size} numbers, but {wanted} are needed; name the "
-                f"detector's set with "
-                f"`keypoint_set` (one of {', '.join(KEYPOINT_SETS)})."
-            )
-        points = values.reshape(-1, 3)
-        if names is None and not raw:
-            names_of_length(len(points))
-        finite = np.isfinite(points[:, :2]).all(1)
-        confident = np.nan_to_num(points[:, 2], nan=0.0) > 0
-        if (bad := ~finite & confident).any() or np.isinf(points).any():
-            k = int(np.argmax(bad | np.isinf(points).any(1)))
-            raise InputError(f"{source}, person {number}: key point {k} is not a finite position; export it again.")
-        missing = ~finite | ~confident | (points[:, :2] == 0).all(1)
-        people.append(np.where(missing[:, None], 0.0, points if raw else np.clip(points, None, [np.inf, np.inf, 1.0])))
-    k = len(names) if names is not None else (len(people[0]) if people else 0)
-    if any(len(p) != k for p in people):
-        raise InputError(f"{source}: the people have different numbers of key points.")
-    return np.stack(people) if people else np.zeros((0, k, 3))
 
 
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:

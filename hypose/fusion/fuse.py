@@ -118,7 +118,8 @@ def fuse_clip(
         if frame.sensor_names != first.sensor_names:
             raise InputError(
                 f"Frame {t} has the sensors {', '.join(frame.sensor_names)} instead of "
-                f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report nothing."
+                f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report "
+                "nothing."
             )
         if frame.joint_names != first.joint_names:
             raise InputError(

@@ -154,34 +154,19 @@ def read_vicon(source: Source, rig: RigFile) -> None:
                 f"{where}: PIXEL_ASPECT_RATIO {aspect:g} or ORIENTATION {q.tolist()} is implausible; export it again."
             )
         k = np.array([[focal, 0, centre[0]], [0, focal / aspect, centre[1]], [0, 0, 1.0]])
-        lens = _radial(where, frame)
+        raw = frame.get("VICON_RADIAL2")
+        words = raw.split()[3:6] if raw is not None else frame.get("VICON_RADIAL", "").split()[:3]
+        lens = numbers(where, {"VICON_RADIAL": [*map(scalar, words), 0.0, 0.0, 0.0][:3]}, ("VICON_RADIAL",), (3,))
         if 0 < np.abs(lens).max() < _PIXEL_UNITS:
-            lens = _straightened(lens, focal, float(np.hypot(*size)) / 2)
+            # OpenCV's k1 k2 k3 fitted to Vicon's undistortion in pixels, by least squares over the picture
+            d = np.linspace(0, float(np.hypot(*size)) / 2, 200)[1:]
+            u = d * (1 + lens[0] * d**2 + lens[1] * d**4 + lens[2] * d**6) / focal
+            lens = np.linalg.lstsq(np.stack([u**3, u**5, u**7], 1), d / focal - u, rcond=None)[0]
             rig.notes.append(
                 f"{rig.path.name}: the lens of {name} is given in pixels and was converted to OpenCV's model."
             )
         turn = np.asarray(Rotation.from_quat(q).as_matrix(), dtype=np.float64)
         rig.add(name, k, np.array([lens[0], lens[1], 0.0, 0.0, lens[2]]), turn, -turn @ place, size)
-
-
-def _radial(where: str, frame: Element) -> Array:
-    """Read the radial coefficients (3,)."""
-    raw = frame.get("VICON_RADIAL2")
-    words = raw.split()[3:6] if raw is not None else frame.get("VICON_RADIAL", "").split()[:3]
-    return numbers(where, {"VICON_RADIAL": [*map(scalar, words), 0.0, 0.0, 0.0][:3]}, ("VICON_RADIAL",), (3,))
-
-
-def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
-    """Fit OpenCV's k1 k2 k3 to Vicon's undistortion in pixels, by least squares over the picture.
-
-    coefficients: (3,) Vicon's k1 k2 k3, for radii in px.
-    focal: focal length, px.
-    radius: largest distance from the centre in the picture, px.
-    """
-    d = np.linspace(0, radius, 200)[1:]
-    u = d * (1 + coefficients[0] * d**2 + coefficients[1] * d**4 + coefficients[2] * d**6) / focal
-    powers = np.stack([u**3, u**5, u**7], 1)
-    return np.linalg.lstsq(powers, d / focal - u, rcond=None)[0]
 
 
 def read_motive(source: Source, rig: RigFile) -> None:
@@ -247,10 +232,6 @@ class _Array:
         self.value = kind.numbers(raw).reshape(shape, order="F" if by_columns else "C")
 
 
-def _from_buffer(raw: Any, kind: _Kind, shape: tuple[int, ...], order: str) -> Array:
-    return kind.numbers(raw).reshape(shape, order="F" if order == "F" else "C")
-
-
 # Names in pickles of arrays, and their replacements here, because numpy's own functions crash on invalid states.
 _OF_ARRAYS = {
     "_codecs.encode": lambda text, _: text.encode("latin-1"),  # how protocol 2 writes bytes
@@ -258,7 +239,9 @@ _OF_ARRAYS = {
     "numpy.ndarray": None,
     "numpy.core.multiarray._reconstruct": _Array,
     "numpy.core.multiarray.scalar": lambda kind, raw: float(kind.numbers(raw)[0]),
-    "numpy.core.numeric._frombuffer": _from_buffer,  # protocol 5
+    "numpy.core.numeric._frombuffer": lambda raw, kind, shape, order: kind.numbers(raw).reshape(
+        shape, order="F" if order == "F" else "C"
+    ),  # protocol 5
 }
 
 

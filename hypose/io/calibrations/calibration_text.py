@@ -188,12 +188,8 @@ class _Loader(_SafeLoader):
     """Loader for plain YAML with OpenCV's tags and numbers (1., .5, 1e-05, .Nan)."""
 
 
-def _tagged(loader: Any, node: Any) -> Any:
-    return loader.construct_mapping(node, deep=True)
-
-
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _tagged)
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|[-+]?\.(nan|Nan|NaN|inf|Inf)$"),

@@ -86,7 +86,9 @@ def numbers_if_any(
     if key is None:
         return None
     array = as_numbers(table[key])
-    shape = None if array is None else _fitting(array, shapes)
+    size = 0 if array is None else array.size
+    fitting = (s for s in shapes or ((size,),) if size == math.prod(s))  # a vector may be given as a row or column
+    shape = None if array is None else next((s for s in fitting if array.shape == s or 1 in (array.ndim, len(s))), None)
     if array is None or shape is None:
         got = f"shape {array.shape}" if array is not None and array.ndim else repr(table[key])[:40]
         allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
@@ -94,18 +96,6 @@ def numbers_if_any(
     if not np.isfinite(array).all():
         raise CalibrationError(f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again.")
     return array.reshape(shape)
-
-
-def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ...] | None:
-    """Choose the shape that an array has or can be given.
-
-    shapes: accepted shapes; none for a row of any length.
-    Returns: None where no shape fits.
-    """
-    for s in shapes or ((array.size,),):
-        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
-            return s
-    return None
 
 
 class RigFile:

@@ -26,13 +26,14 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import InputError, extra
-from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
+from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_plain_pickle
 from hypose.io.file_names import last_number
 from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
+from hypose.json_text import parse_json
 
 # ---- keypoint table ------------------------------------------------------------------------------------------------
 # The table that every reader of 2D key points returns for one camera, and common checks of numbers from files.
@@ -107,6 +108,44 @@ def checked_people(values: Any, where: str) -> Array:
         raise InputError(f"{where}: a key point is infinite; export it again.")
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
+
+
+def parse_openpose(document: str | bytes | Mapping[str, Any], source: str = "The key-point file") -> Array:
+    """Read the people of one OpenPose-style JSON document.
+
+    source: name of the file in error messages.
+    Returns: (P, K, 3) u px, v px, score. A point at (0, 0), or without finite position and score, is missing: 0.
+    Raises: InputError where it is no such document.
+    """
+    if isinstance(document, (str, bytes)):
+        try:
+            document = parse_json(document)
+        except (ValueError, RecursionError) as problem:
+            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
+    found = document.get("people") if isinstance(document, Mapping) else None
+    found = [] if found == {} else found  # some writers write an empty list so
+    if not isinstance(found, list):
+        raise InputError(
+            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the OpenPose '
+            "format."
+        )
+    people = []
+    for number, person in enumerate(found):
+        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
+        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
+        if flat is None and person != {}:
+            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
+        try:
+            values = np.array([] if flat is None else flat, dtype=np.float64).reshape(-1, 3)
+        except (TypeError, ValueError):
+            raise InputError(
+                f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only, three for each point; export '
+                "it again."
+            ) from None
+        people += [values] if len(values) else []
+    if len({len(p) for p in people}) > 1:
+        raise InputError(f"{source}: the people have different numbers of key points.")
+    return checked_people(people, source)
 
 
 def scores_from_variance(points: Array, variance: Array) -> Array:
@@ -449,7 +488,7 @@ def _alphapose_frames(source: Source) -> KeypointTable:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
         if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
-        people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
+        people[number] = parse_openpose(frame, f"{where}, frame {name}")
     first = 0 if _counted(source.document) else None
     return KeypointTable("AlphaPose results (form open or cmu)", people, first)
 
@@ -491,7 +530,7 @@ def _first_holds(source: Source, key: str) -> bool:
 
 def _openpose(source: Source) -> KeypointTable:
     def read(path: Path) -> Array:
-        return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
+        return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), str(path))
 
     files = source.files(".json")
     if not source.path.is_dir():

@@ -507,7 +507,7 @@ def _positions(joints: Mapping[str, Any], scale: float) -> tuple[Array, NDArray[
     try:
         table = np.array(flat, dtype=np.float64).reshape(-1, 4)
     except OverflowError:
-        raise InputError("a joint holds an integer that is too large")
+        raise InputError("a joint holds an integer that is too large") from None
     positions, level = table[:, :3] * scale, table[:, 3]
     if not ((level == 0) | (level == 1) | (level == 2)).all():
         raise InputError("the state of a joint must be 0, 1 or 2")
