@@ -78,14 +78,15 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
         raise InputError(f"Depth maps of one sensor must have one size, got {sorted({m.shape for m in maps})}.")
     stack = np.stack(maps).astype(np.float32)
     stack[stack <= 0] = np.nan
-    seen = np.isfinite(stack).mean(0)
-    known = seen >= 0.25
-    some = np.where(known, stack, 0.0)
-    middle = np.nanmedian(np.where(np.isfinite(some), some, np.nan), axis=0)
-    away = np.abs(stack - middle)
-    spread = 1.4826 * np.nanmedian(np.where(known, np.where(np.isfinite(away), away, np.nan), 0.0), axis=0)
-    sd = np.maximum(np.where(known, spread, 0.0), 0.0 if len(maps) > 3 else _USUAL_SD)
-    return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
+    middle, spread = _median_and_sd(np.where(np.isfinite(stack).mean(0) >= 0.25, stack, 0.0))
+    sd = np.maximum(spread, 0.0 if len(maps) > 3 else _USUAL_SD)
+    return DepthBackground(middle.astype(np.float32), sd.astype(np.float32))
+
+
+def _median_and_sd(values: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Compute the median of each column of values (T, ...) and its standard deviation (1.4826 MAD), without NaN."""
+    middle = np.nanmedian(values, axis=0)
+    return middle, 1.4826 * np.nanmedian(np.abs(values - middle), axis=0)
 
 
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
@@ -102,9 +103,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
     if not often.any():
         return room, 0.0
     middle, sd = np.zeros_like(room.depth), np.zeros_like(room.sd)
-    values = np.where(before, stack, np.nan)[:, often]
-    middle[often] = np.nanmedian(values, axis=0)
-    sd[often] = 1.4826 * np.nanmedian(np.abs(values - middle[often]), axis=0)
+    middle[often], sd[often] = _median_and_sd(np.where(before, stack, np.nan)[:, often])
     still = _calm((often & (sd < np.maximum(_SDS * room.sd, _STILL_M))).astype(np.uint8)) > 0
     others = before & (cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
     at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _PERSON_PX]
@@ -212,9 +211,9 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     stack = np.stack(maps)
     known = (stack > 0).mean(0) >= _SEEN_SHARE
     values = np.where(known, np.where(stack > 0, stack, np.nan), 0.0)
-    middle = np.asarray(np.nanmedian(values, axis=0), dtype=np.float32)
+    middle, sd = (a.astype(np.float32) for a in _median_and_sd(values))
     apart = _tolerance(middle)
-    still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
+    still = known & (sd < apart)
     still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there and left
     found = _standing(middle, camera)
     no_person = found.above & (found.people(_HEAD_M) == 0)

@@ -16,10 +16,8 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
-from hypose.evidence.shared_masks import Other, without
+from hypose.evidence.people import FEWEST_VIEWS, HullPerson, Other, own_frame, people_seen, without
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject

@@ -14,9 +14,8 @@ from hypose.evidence.depth_background import (
     person_on_floor,
     with_still_things,
 )
-from hypose.evidence.depth_evidence import Depth, surface_points
-from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.depth_people import space_behind
+from hypose.evidence.depth_evidence import Depth, camera_on_floor, surface_points
+from hypose.evidence.people import space_behind
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act

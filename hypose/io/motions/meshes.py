@@ -83,7 +83,7 @@ def read_person(path: str | Path) -> PersonMesh:
         return _read_smpl(p)
     data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".glb":
-        from hypose.io.motions.gltf import read_skin
+        from hypose.io.motions.animation import read_skin
 
         skinned = read_skin(data, str(p))
         if skinned is not None:

@@ -27,7 +27,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.shared_masks import Other
+from hypose.evidence.people import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.frame_anomalies import looked_at, mask_change
