@@ -1,8 +1,8 @@
 """Find the people of a recording at its beginning, and those who come, leave and return while it is tracked.
 
 People are found where no tracked body explains the visual hull (`hypose.evidence.people`), in the first frames and
-repeatedly later. Each has a tracker of their own (`hypose.tracking.several`). After tracking, each has a clip of their
-own (`OwnFrames`), in which the bodies of the others hide what they cover.
+repeatedly later. Each has a tracker of their own (`step_together`). After tracking, each has a clip of their own
+(`OwnFrames`), in which the bodies of the others hide what they cover.
 
 Bodies of people who hide each other: hulls of people near each other merge, so which part hides a person is a guess,
 and only arms and feet show front and back. So each person is first tracked with the template, scaled to their size, on
@@ -30,25 +30,31 @@ from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.people import SOLVED_WIDENING, HullPerson, Other, own_frame, people_seen, views_to_find
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.frame_anomalies import looked_at
-from hypose.pipeline.person_paths import (
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.start_choice import best_ways, way_of
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, find_subject
+from hypose.pipeline.track_loop import (
+    FrameSource,
+    Member,
+    StageProgress,
+    TrackedPerson,
+    TrackingSession,
+    shape_of,
+    step_together,
+    tracker_of,
+)
+from hypose.pipeline.track_management import (
     KeypointPeople,
     KnownPerson,
     Path,
-    follow_places,
-    lasting,
-    names_at_places,
-)
-from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, way_of
-from hypose.pipeline.subject_from_motion import different_poses
-from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, TrackingSession, tracker_of
-from hypose.pipeline.track_management import (
     back_again,
     birth_candidates,
     candidate_evidence,
     explained_by,
+    follow_places,
+    lasting,
+    names_at_places,
     not_parts,
     part_doubles,
     swap_identities,
@@ -58,7 +64,6 @@ from hypose.pipeline.track_management import (
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import refine
-from hypose.tracking.several import Member, shape_of, step_together
 from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.start_search import Start
 from hypose.tracking.tracker import FrameEstimate

@@ -22,7 +22,7 @@ from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, seen_in_room, sensors
 from tests.evidence.scenes import iou
 

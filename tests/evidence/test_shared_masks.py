@@ -14,8 +14,8 @@ from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.people import Other, own_frame, without
 from hypose.evidence.prefetch import outlines, prepared_masks
+from hypose.pipeline.track_loop import shape_of
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
 from tests import reference
 from tests.evidence.scenes import masks_of, on_floor, ring, solid_masks
 

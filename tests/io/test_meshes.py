@@ -18,7 +18,7 @@ from hypose.errors import InputError
 from hypose.io.motions.animation import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.pipeline.mesh_subject import rig_mesh
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.background import (
@@ -38,7 +38,7 @@ from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
-    MaskRuns,
+    BitMask,
     SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
@@ -71,7 +71,7 @@ class PackedMask:
     colours: colour codes and colour edges of the picture in the mask's box, where they are wanted and known.
     """
 
-    runs: MaskRuns | None
+    runs: BitMask | None
     reason: str
     colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
 
@@ -101,7 +101,7 @@ class PendingMasks:
     def _masks(self) -> list[PackedMask]:
         return [f.result() for f in self._done]
 
-    def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
+    def masks(self) -> tuple[list[BitMask | None], list[str]]:
         """Wait for the masks of all views.
 
         Returns: by view, the mask (None: there is none) and the reason for its absence.
@@ -575,9 +575,9 @@ class FrameStream:
         runs, reason = self._mask(view, number)
         if runs is None:
             raise InputError(reason)
-        return mask_runs.draw(runs)
+        return packed_masks.draw(runs)
 
-    def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
+    def _mask(self, view: int, frame: int) -> tuple[BitMask | None, str]:
         """Make the mask of a view.
 
         frame: number of the video's frame.
@@ -627,7 +627,7 @@ class FrameStream:
         found = self._kept.get((view, index))
         if found is None:
             found = self._made(view, index)
-            size = 0 if found.runs is None else found.runs.code.nbytes
+            size = 0 if found.runs is None else found.runs.bits.nbytes
             if found.colours is None and self._kept_bytes + size <= KEPT_BYTES:
                 self._kept[view, index] = found
                 self._kept_bytes += size
