@@ -24,24 +24,18 @@ POINTS = 200
 """number of surface points used of one sensor's map; more take time and give no new information"""
 JUMP_M = 0.06
 """m: neighbours with a larger difference belong to different surfaces"""
-_LEAST_COSINE = 0.15
+_LEAST_COSINE, _CONSTANT_M, _SQUARE = 0.15, 0.0015, 0.0012
 
 
-@dataclass(frozen=True)
-class DepthNoise:
-    """Noise model of a depth sensor: sd at z m is (constant + square z^2), m, divided by the cosine between ray and
-    normal.
+def depth_sd(z: ArrayLike, cosine: ArrayLike = 1.0) -> Array:
+    """Compute the standard deviation of a depth sensor's noise.
 
-    The default values are compared with real frames in docs/depth.md.
+    z: (...) distances along the optical axis, m.
+    cosine: (...) cosine of the angle between ray and normal of the surface.
+    Returns: (...) m: (constant + square z^2) / cosine. The constants are compared with real frames in docs/depth.md.
     """
-
-    constant: float = 0.0015
-    square: float = 0.0012
-
-    def sd(self, z: ArrayLike, cosine: ArrayLike = 1.0) -> Array:
-        """Compute the sd (...,), m, at distances z (...,), m, for surfaces with this cosine between normal and ray."""
-        along = np.maximum(np.asarray(cosine, dtype=np.float64), _LEAST_COSINE)
-        return (self.constant + self.square * np.asarray(z, dtype=np.float64) ** 2) / along
+    along = np.maximum(np.asarray(cosine, dtype=np.float64), _LEAST_COSINE)
+    return (_CONSTANT_M + _SQUARE * np.asarray(z, dtype=np.float64) ** 2) / along
 
 
 @dataclass(frozen=True)
@@ -68,7 +62,6 @@ class Depth:
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
-    noise: noise of the sensors.
     blank: (C,) True for depth cameras whose whole map is a hole; None: there are none.
     """
 
@@ -76,7 +69,6 @@ class Depth:
     person: NDArray[np.uint8]
     rig: CameraRig
     usable: NDArray[np.bool_]
-    noise: DepthNoise = DepthNoise()
     blank: NDArray[np.bool_] | None = None
 
     def unseen(self) -> Depth:
@@ -120,7 +112,7 @@ def surface_points(depth: Depth, count: int) -> SurfacePoints:
             w, h = camera.size
             seen = depth.maps[c, :h, :w], depth.person[c, :h, :w], depth.boxes[c]
             points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, count)
-            sd = depth.noise.sd(points[:, 2], cosines)
+            sd = depth_sd(points[:, 2], cosines)
             found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
             made = len(points)
         first.append(first[-1] + made)
@@ -167,10 +159,10 @@ def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[
 
 _DRAWS, _POINTS = 300, 4000
 _NEAR_M, _TILTED = 0.02, np.cos(np.radians(50))
+# share of the map that the floor must fill
 _LEAST_SHARE = 0.04
-"""share of the map that the floor must fill"""
+# m: least distance of a floor below a table; cosine of the largest angle between two level planes
 _BELOW_M, _LEVEL = 0.15, np.cos(np.radians(8))
-"""m: least distance of a floor below a table; cosine of the largest angle between two level planes"""
 
 
 def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:

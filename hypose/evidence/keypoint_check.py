@@ -52,16 +52,16 @@ CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
 )
 
 
+# Kind, words, factors of x and y about the middle of the picture, cure.
 _TURNS = (
     ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
     ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
     ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
 )
-"""Kind, words, factors of x and y about the middle of the picture, cure."""
+# Usual factors between the sizes of stored and calibrated images.
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Usual factors between the sizes of stored and calibrated images."""
+# Tried places of a cropped image: the part of the missing columns and rows that is missing at its left and top.
 _PLACES = (0.0, 0.5, 1.0)
-"""Tried places of a cropped image: the part of the missing columns and rows that is missing at its left and top."""
 
 
 def geometric_trials(

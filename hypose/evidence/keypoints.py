@@ -134,6 +134,8 @@ def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraR
     return Keypoints(np.nan_to_num(out), tuple(names), pinhole)
 
 
+# Offsets of BlazePose's points from joints and landmarks, in shares of the body height, in the rest frame of a left
+# limb. Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points.
 _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
     "nose": (0.0, 0.023, 0.001),
     "eye": (0.0, 0.021, -0.003),
@@ -147,8 +149,6 @@ _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
     "heel": (-0.006, -0.008, -0.005),
     "big_toe": (0.007, 0.013, -0.002),
 }
-"""Offsets of BlazePose's points from joints and landmarks, in shares of the body height, in the rest frame of a left
-limb. Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points."""
 
 
 def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:

@@ -36,8 +36,8 @@ from hypose.geometry import Array
 SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
 """Share of a body's longer side in the picture by which it is widened where it hides others: with a pose solved in this
 frame, and with a predicted pose (2 and 4 px of 250)."""
+# Margin around a person's box inside which masks are evidence: share of its longer side, and least px.
 _NEARBY, _MARGIN_PX = 0.35, 32
-"""Margin around a person's box inside which masks are evidence: share of its longer side, and least px."""
 _SMALLEST_PX = 50
 _NEAR_M = 0.05
 
@@ -241,8 +241,8 @@ or an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
 _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
+# cells around the hull's plan, so that its smoothed density falls to zero inside the array
 _RIM = 12
-"""cells around the hull's plan, so that its smoothed density falls to zero inside the array"""
 
 
 def views_to_find(frame: Frame) -> int:
@@ -514,12 +514,12 @@ def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
 
 SURFACE_LITRES = 15.0
 """Least surface of a person that one sensor shows, in litres of voxels of VOXEL; arms between two people show less."""
+# m: points this near to a body are explained by it; points further away than the second belong to no person yet
 _EXPLAINED_M, _REACH_M = 0.2, 0.5
-"""m: points this near to a body are explained by it; points further away than the second belong to no person yet"""
+# m: distance of a cluster's own pixels; a pixel nearer than this to another person's body belongs to that person
 _CLUSTER_M = 0.08
-"""m: distance of a cluster's own pixels; a pixel nearer than this to another person's body belongs to that person"""
+# m behind the visible part of a person: others there do not hide it
 _BEHIND_M = 0.4
-"""m behind the visible part of a person: others there do not hide it"""
 _LEAST_PX, _PER_VOXEL = 50, 2
 _EDGE = np.ones((5, 5), np.uint8)
 

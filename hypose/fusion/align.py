@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK, SensorReport
-from hypose.fusion.joints import joint_set
+from hypose.evidence.frame import FARTHEST_M, INFERRED, SensorReport, clean_joints
+from hypose.fusion.joints import COMMON, joint_set
 from hypose.geometry import Array, procrustes, transform
 
 # ---- clocks --------------------------------------------------------------------------------------------------------
@@ -29,8 +29,8 @@ WINDOW_S = 10.0
 _JUMP_S, AGREE_S = 0.25, 0.025
 """s. _JUMP_S: difference from the offset above which a message is suspected. AGREE_S: largest difference between
 neighbouring suspected messages that show the same jump."""
+# Numbers of suspected messages in a row after which a jump is accepted: where they agree, and in any case.
 _CONFIRM, _GIVE_IN = 3, 30
-"""Numbers of suspected messages in a row after which a jump is accepted: where they agree, and in any case."""
 
 
 class SensorClock:
@@ -529,15 +529,7 @@ class Aligner:
         p, q = p[common], q[common]
         if p.min() > -FARTHEST_M and p.max() < FARTHEST_M and q.min() > 0:  # the usual case; False for NaN
             return p, q
-        missing = ~np.isfinite(p).all(-1) | (p <= MISSING_MARK).any(-1) | (q == 0)
-        if missing.any():
-            q = np.where(missing, np.uint8(0), q)
-            p = np.where(missing[:, None], np.nan, p)
-        if np.abs(np.nan_to_num(p)).max() > FARTHEST_M:
-            raise InputError(
-                f"The sensor {sensor} reports a joint beyond {FARTHEST_M:.0f} m; divide millimetres by 1000."
-            )
-        return p, q
+        return clean_joints(p, q, f"The sensor {sensor}", COMMON)
 
     def _new(self, name: str, now: float) -> _Sensor:
         """Add a sensor; where there are too many, one that has long been silent makes room.

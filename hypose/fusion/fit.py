@@ -134,12 +134,11 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
+# (18,) m, standard deviations of the lengths of SKELETON_BONES: small for limbs, larger within the trunk.
 _BONE_SD_M = np.array([15, 15, 8, 8, 15, 8, 8, 15, 20, 8, 8, 20, 8, 8, 15, 15, 20, 20]) / 1000
-"""(18,) m, standard deviations of the lengths of SKELETON_BONES: small for limbs, larger within the trunk."""
+# Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
+# exchanged (107 degrees).
 _AGAINST = -0.3
-"""Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
-exchanged (107 degrees).
-"""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from hypose.fusion.register import (
     by_triangles,
     check_same_person,
     common_joints,
-    measured_joint_depth,
     register,
 )
 from hypose.fusion.swarm import (
@@ -197,8 +196,8 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     sensors = world.shape[1]
     swarm, memory = start_swarm(sensors), start_confidence(sensors, s.confidence)
     for frame, registered in zip(raw, world, strict=True):
-        depth = measured_joint_depth(frame)
-        memory, inputs = confidence_step(memory, frame.positions, frame.state, depth, frame.times, s.confidence)
+        seen = frame.positions, frame.state, frame.joint_depth, frame.times
+        memory, inputs = confidence_step(memory, *seen, s.confidence)
         noise = s.rules.noise(*normalised(inputs, s.confidence))
         swarm, estimate = swarm_step(swarm, registered, noise, 0.0, s, seed)
         yield estimate

@@ -394,13 +394,12 @@ def is_swapped(joints: Array, like: Array) -> bool:
 # Where a sensor stands, found from the persons that it shares with others, when identities are unknown.
 
 
+# One instant: skeletons (15, 3) of a sensor in its frame, by its numbers of persons; and the tracked persons in the
+# common frame, by their ids.
 _SensorInstant = tuple[Mapping[int, Array], Mapping[int, Array]]
-"""One instant: skeletons (15, 3) of a sensor in its frame, by its numbers of persons; and the tracked persons in the
-common frame, by their ids.
-"""
 _TRUNK = np.array(TRUNK_JOINTS)
+# Number of instants per pairing in the quick first test.
 _LOOK = 4
-"""Number of instants per pairing in the quick first test."""
 
 
 def find_place(

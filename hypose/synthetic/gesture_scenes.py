@@ -149,14 +149,13 @@ class Setting:
 # A session with a screen shows it where there is no camera. Neighbouring frames are similar, as those of a real person.
 
 
+# Share of movements that are another gesture while the gesture is not asked for.
 _OTHERS = 0.3
-"""Share of movements that are another gesture while the gesture is not asked for."""
+# m; a surface nearer than the annotated point by more hides it.
 _HIDDEN = 0.06
-"""m; a surface nearer than the annotated point by more hides it."""
+# s, least and largest duration of the movement into the gesture, between two variations of it, and of any other
+# movement.
 _REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
-"""s, least and largest duration of the movement into the gesture, between two variations of it, and of any other
-movement.
-"""
 
 
 @dataclass(frozen=True)

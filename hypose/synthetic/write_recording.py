@@ -31,8 +31,8 @@ from hypose.synthetic.render_rgb import LIGHT
 from hypose.synthetic.scenes import Scene, keypoint_detections
 from hypose.synthetic.subjects import dress, load_subjects
 
+# Function that is called with the numbers of steps done and in total.
 _Progress = Callable[[int, int], None]
-"""Function that is called with the numbers of steps done and in total."""
 
 
 def check_folder(folder: Path) -> None:
@@ -278,11 +278,10 @@ BOARD = Board("chessboard", 9, 6, 0.08)
 """The board that is filmed: corners, and size of a square in m."""
 _EMPTY_S = 2.0
 _STATIONS, _LYING = 28, 25
+# Constants of the carried board. _STATIONS: number of places to which it is carried. _LYING: number of frames on the
+# floor. _HELD: least and largest number of frames in a place. _MOVED: least and largest number of frames between two
+# places.
 _HELD, _MOVED = (5, 10), (4, 10)
-"""Constants of the carried board. _STATIONS: number of places to which it is carried. _LYING: number of frames on the
-floor. _HELD: least and largest number of frames in a place. _MOVED: least and largest number of frames between two
-places.
-"""
 
 
 def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lambda done, total: None) -> Path:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport
+from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport, clean_joints
 from hypose.geometry import Array
 from hypose.io.files import bounded_lines
 from hypose.io.formats import Source
@@ -213,32 +213,6 @@ def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
                 now[p] = next(c for c in range(len(now) + 1) if c not in now.values())
         out.append(now)
     return out
-
-
-def clean_joints(
-    positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
-) -> tuple[Array, NDArray[np.uint8]]:
-    """Mark missing joints alike: NaN positions and state 0.
-
-    positions: (..., J, 3) m.
-    state: (..., J) 0 not tracked, 1 inferred, 2 tracked.
-    where: the sensor, for the error message.
-    joint_names: names of the J joints, for the error message.
-    Returns: copies of positions and states.
-    Raises: InputError where coordinates are too large to be metres.
-    """
-    positions, state = positions.copy(), state.copy()
-    positions[(positions <= MISSING_MARK).any(-1)] = np.nan
-    missing = ~np.isfinite(positions).all(-1) | (state == 0)
-    positions[missing], state[missing] = np.nan, 0
-    far = np.argwhere(np.abs(np.nan_to_num(positions)).max(-1) > FARTHEST_M)
-    if len(far):
-        at = tuple(far[0])
-        raise InputError(
-            f"{where}: the joint {joint_names[at[-1]]} lies at {positions[at].round(1).tolist()}, which cannot be "
-            f"metres (at most {FARTHEST_M:.0f}); divide millimetres by 1000."
-        )
-    return positions, state
 
 
 def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
@@ -461,27 +435,31 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         raise InputError('the line is no JSON object; it must look like {"sensor": ..., "time": ..., "joints": {...}}')
     if unknown := value.keys() - _KNOWN:
         raise InputError(f"there is no field {min(unknown)[:40]!r}; the fields are {', '.join(sorted(_KNOWN))}")
-    sensor, token, joints = value.get("sensor"), value.get("token", ""), value.get("joints", ...)
-    if not isinstance(sensor, str) or not _SENSOR.fullmatch(sensor):
-        raise InputError("sensor must be a name of 1 to 32 letters, digits, _ . -")
-    if not isinstance(token, str):
-        raise InputError("token must be text")
-    unit = value.get("unit", "m")
-    if not isinstance(unit, str) or unit not in SKELETON_UNITS:
-        raise InputError("unit must be m or mm")
+    sensor, token, unit = value.get("sensor"), value.get("token", ""), value.get("unit", "m")
+    joints, person = value.get("joints", ...), value.get("person", 0)
+    faults = {
+        "sensor must be a name of 1 to 32 letters, digits, _ . -": not (
+            isinstance(sensor, str) and _SENSOR.fullmatch(sensor)
+        ),
+        "token must be text": not isinstance(token, str),
+        "unit must be m or mm": not isinstance(unit, str) or unit not in SKELETON_UNITS,
+        "person must be a whole number from 0": not (
+            isinstance(person, int) and not isinstance(person, bool) and 0 <= person < 2**63
+        ),
+        f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen": not (
+            joints is None or (isinstance(joints, dict) and 1 <= len(joints) <= MAX_JOINTS)
+        ),
+    }
+    if found := [fault for fault, there in faults.items() if there]:
+        raise InputError(found[0])
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
-    person = value.get("person", 0)
-    if isinstance(person, bool) or not isinstance(person, int) or not 0 <= person < 2**63:
-        raise InputError("person must be a whole number from 0")
     if joints is None:
         empty = np.zeros((0, 3))
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
-    if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
-        raise InputError(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
-    names, scale = tuple(joints), SKELETON_UNITS[unit]
+    names = tuple(joints)
     _check_names(names)
-    return SensorReport(sensor, time, person, names, *_positions(joints, scale), received), token
+    return SensorReport(sensor, time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
 
 
 @lru_cache(maxsize=64)
