@@ -26,11 +26,11 @@ from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import VideoWriter, open_video
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.write_recording import write_scene
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 

@@ -23,12 +23,11 @@ from hypose.geometry import Array, se3, so3_exp
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, load_recording
 from hypose.io.videos.video import open_video
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import KeypointModel
+from hypose.tracking.frame_evidence import KeypointModel, prepare
 
 LIMBS = tuple(
     BODY_25B.index(f"{side}_{part}")

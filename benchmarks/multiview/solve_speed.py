@@ -17,8 +17,8 @@ from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior, prediction_prior
 
 _FAST, _LONG = SolveSettings(), SolveSettings(iterations=60, coarse_iterations=4, tolerance=1e-6)

@@ -77,8 +77,8 @@ SHAPE_FACTOR_NAMES = tuple(e.name for e in SHAPE_FACTORS)
 
 CLOTHING_UNIT = 0.1
 """m, unit of the factor "clothing", which is not a logarithm but a thickness: 9 +- 6 mm in the prior."""
+# Share of the thickness of clothes by the kind of joint that carries the skin; 1 elsewhere.
 _COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.0}
-"""Share of the thickness of clothes by the kind of joint that carries the skin; 1 elsewhere."""
 
 TABLE_2_1: dict[str, tuple[float, float]] = {
     "shoulder height": (140.0, 17.0),
@@ -340,8 +340,8 @@ def _tape(flat: Array) -> float:
         return 0.0
 
 
+# kg/m^3.
 _DENSITY = 1000.0
-"""kg/m^3."""
 _CUBE = 0.01  # m
 
 
@@ -359,14 +359,11 @@ class SegmentMass:
     inertia: Array
 
 
-def segment_masses(
-    body: Body, segments: Mapping[str, Sequence[str]], mass: float | None = None
-) -> dict[str, SegmentMass]:
+def segment_masses(body: Body, segments: Mapping[str, Sequence[str]]) -> dict[str, SegmentMass]:
     """Compute mass, centre of mass and inertia of body segments from the volume of the mesh.
 
     body: the body at rest.
     segments: by name, the joints that carry the skin of the segment.
-    mass: kg of the whole body; None: its volume times 1000 kg/m^3.
     Returns: by name. A segment without volume (a user's body may have no hands) becomes one cube at its first joint,
         because simulations fail for a segment without mass.
     """
@@ -374,13 +371,11 @@ def segment_masses(
 
     points = _inside(body.fine)
     carrier = body.fine.main_joint[KDTree(body.fine.vertices).query(points)[1]]
-    density = _DENSITY if mass is None else mass / (len(points) * _CUBE**3)
-    out = {}
+    each, out = _DENSITY * _CUBE**3, {}
     for name, joints in segments.items():
         own = points[np.isin(carrier, [body.skeleton.joint(j) for j in joints])]
         if not len(own):
             own = body.skeleton.rest_joints[[body.skeleton.joint(joints[0])]]
-        each = density * _CUBE**3
         centre = own.mean(0)
         d = own - centre
         squares = (d * d).sum()

@@ -44,8 +44,10 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
         for wanted in (target, int(0.93 * target), int(1.06 * target)):
             for aggressiveness in _AGGRESSIVENESS:
                 w, g, *_ = library.simplify(smooth, f, target_count=2 * wanted, agg=aggressiveness)
-                w, g = _used(np.asarray(w, dtype=np.float64) + centre, np.asarray(g, dtype=np.int32))
-                if len(g) and abs(len(w) - target) <= 0.1 * target and is_closed(g) and _sound(g):
+                kept, index = np.unique(np.asarray(g, dtype=np.int32), return_inverse=True)
+                w, g = (np.asarray(w, dtype=np.float64) + centre)[kept], index.reshape(-1, 3).astype(np.int32)
+                sound = ((g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])).all()
+                if len(g) and abs(len(w) - target) <= 0.1 * target and sound and is_closed(g):
                     return w, g
     raise InputError(
         f"No closed mesh of about {target} vertices could be made from this one ({len(v)} vertices); remesh the "
@@ -87,11 +89,6 @@ def is_closed(faces: ArrayLike) -> bool:
     return len(forward) == len(edges) and np.array_equal(forward, backward)
 
 
-def _sound(faces: Faces) -> bool:
-    """Return whether no face names a vertex twice."""
-    return bool(((faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])).all())
-
-
 def _smoothed(v: Array, f: Faces, passes: int) -> Array:
     """Smooth a mesh without shrinking it (Taubin 1995): every pass moves vertices towards the mean of their neighbours,
     then a little more back.
@@ -108,11 +105,6 @@ def _smoothed(v: Array, f: Faces, passes: int) -> Array:
     for step in (0.5, -0.53) * passes:
         out = out + step * (near @ out / degree - out)
     return out
-
-
-def _used(v: Array, f: Faces) -> tuple[Array, Faces]:
-    kept, index = np.unique(f, return_inverse=True)
-    return v[kept], index.reshape(-1, 3).astype(np.int32)
 
 
 def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:

@@ -16,30 +16,25 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array, procrustes, transform
 
-
-def _sided(rows: Mapping[str, str], left: str, right: str) -> dict[str, str]:
-    return {f"{s}_{k}": v.format(word) for s, word in (("left", left), ("right", right)) for k, v in rows.items()}
-
-
 MIXAMO: Mapping[str, str] = {
     "pelvis": "Hips",
     "spine": "Spine",
     "chest": "Spine1",
     "neck": "Neck",
     "head": "Head",
-    **_sided(
-        {
-            "clavicle": "{}Shoulder",
-            "shoulder": "{}Arm",
-            "elbow": "{}ForeArm",
-            "wrist": "{}Hand",
-            "hip": "{}UpLeg",
-            "knee": "{}Leg",
-            "ankle": "{}Foot",
-        },
-        "Left",
-        "Right",
-    ),
+    **{
+        f"{side.lower()}_{joint}": side + bone
+        for side in ("Left", "Right")
+        for joint, bone in {
+            "clavicle": "Shoulder",
+            "shoulder": "Arm",
+            "elbow": "ForeArm",
+            "wrist": "Hand",
+            "hip": "UpLeg",
+            "knee": "Leg",
+            "ankle": "Foot",
+        }.items()
+    },
 }
 """Bone of a Mixamo rig that starts at each joint (without the prefix "mixamorig:")."""
 
@@ -131,7 +126,9 @@ def match_rig(
             "as in docs/own-body.md, or rig the mesh again without its skin."
         )
     found |= _trunk(found, p, at)
-    owner = _owners(found, p)
+    # each joint's weight goes to itself if it is one of the 19 joints, else to its nearest ancestor that is
+    ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
+    owner = [next((ours[a] for a in _chain(k, p) if a in ours), 0) for k in range(len(p))]
     dense = np.asarray(weights, dtype=np.float64)
     out = np.zeros((len(dense), len(JOINT_NAMES)))
     for k in range(len(names)):
@@ -220,14 +217,6 @@ def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> d
         if free and min(shares) < 0.2:
             out[name] = free[int(np.argmin(shares))]
     return out
-
-
-def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Find for every joint of the rig the one of the 19 joints that takes its weight: itself, or the nearest ancestor
-    found.
-    """
-    ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
-    return np.array([next((ours[a] for a in _chain(k, parents) if a in ours), 0) for k in range(len(parents))])
 
 
 def _placed(found: Mapping[str, int], at: Array) -> Array:

@@ -20,8 +20,8 @@ from hypose.compute.visibility import nearest_visible
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
+# Smaller weights are dropped before the rest is scaled to sum 1: they are invisible and cost time.
 _SMALLEST = 0.01
-"""Smaller weights are dropped before the rest is scaled to sum 1: they are invisible and cost time."""
 
 
 HEAT = 2.0

@@ -134,21 +134,11 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
+# (18,) m, standard deviations of the lengths of SKELETON_BONES: small for limbs, larger within the trunk.
+_BONE_SD_M = np.array([15, 15, 8, 8, 15, 8, 8, 15, 20, 8, 8, 20, 8, 8, 15, 15, 20, 20]) / 1000
+# Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
+# exchanged (107 degrees).
 _AGAINST = -0.3
-"""Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
-exchanged (107 degrees).
-"""
-
-
-def _bone_sd() -> Array:
-    """Return the standard deviations (18,) m of the bone lengths: small for limbs, larger for the distances within the
-    trunk.
-    """
-    limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
-    stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
-    return np.array(
-        [0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.SKELETON_BONES.tolist()]
-    )
 
 
 @dataclass(frozen=True)
@@ -170,7 +160,7 @@ class FitSettings:
     scale_m: float = 0.05
     coarse: float = 8.0
     iterations: int = 6
-    bone_sd_m: Array = field(default_factory=_bone_sd)
+    bone_sd_m: Array = field(default_factory=_BONE_SD_M.copy)
     prediction_sd_m: float = 0.03
     blend: float = 0.5
     inferred: float = 0.5

@@ -1,11 +1,12 @@
 """Fuse the skeletons of one person in a recorded clip (`fuse_clip`).
 
 The sensors are registered and the bone lengths measured over the whole clip; then one of the methods fuses it frame by
-frame. For skeletons that arrive live see `hypose.fusion.live`.
+frame. For skeletons that arrive live see `hypose.fusion.people`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +19,6 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import (
     DOUBTFUL_P,
     FitEstimate,
@@ -36,7 +36,17 @@ from hypose.fusion.register import (
     common_joints,
     register,
 )
-from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmEstimate, SwarmSettings, start_swarm, swarm_step
+from hypose.fusion.swarm import (
+    IMPROVED,
+    PUBLISHED,
+    SwarmEstimate,
+    SwarmSettings,
+    confidence_step,
+    normalised,
+    start_confidence,
+    start_swarm,
+    swarm_step,
+)
 from hypose.geometry import Array
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
@@ -104,7 +114,18 @@ def fuse_clip(
         raise InputError("There are no frames to fuse; give at least one.")
     s, first = settings or FusionSettings(), joints[0]
     for t, frame in enumerate(joints):
-        _check_alike(frame, first, t)
+        if frame.sensor_names != first.sensor_names:
+            raise InputError(
+                f"Frame {t} has the sensors {', '.join(frame.sensor_names)} instead of "
+                f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report "
+                "nothing."
+            )
+        if frame.joint_names != first.joint_names:
+            raise InputError(
+                f"Frame {t} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of "
+                f"{len(first.joint_names)}; map sensors of different joint sets to the common ones first "
+                "(fusion.register.common_joints)."
+            )
     times = _clip_times(joints)
     # where no sensor sees the person, time goes on, so that the person gets lost
     joints = [
@@ -119,7 +140,10 @@ def fuse_clip(
         registration = register(positions, states)
         if s.check:
             check_same_person(positions, registration, first.sensor_names)
-    places = [registration] * len(raw) if method != PUBLISHED_SWARM else _triangles(positions)
+    places = [registration] * len(raw)
+    if method == PUBLISHED_SWARM:  # every frame by its triangles
+        unplaced = alone(positions.shape[1])
+        places = list(itertools.accumulate(positions, by_triangles, initial=unplaced))[1:]
     world = np.stack([place.apply(p) for place, p in zip(places, positions, strict=True)])
     lengths = clip_lengths(positions, states)
     eyes = np.stack([place.common_from_sensor[:, :3, 3] for place in places])
@@ -149,21 +173,6 @@ def fuse_clip(
     return Fused(motion, shares, places[-1], lengths, first.sensor_names)
 
 
-def _check_alike(frame: SensorJoints, first: SensorJoints, number: int) -> None:
-    """Raise InputError where frame `number` has other sensors or joints than the first one."""
-    if frame.sensor_names != first.sensor_names:
-        raise InputError(
-            f"Frame {number} has the sensors {', '.join(frame.sensor_names)} instead of "
-            f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report nothing."
-        )
-    if frame.joint_names != first.joint_names:
-        raise InputError(
-            f"Frame {number} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of "
-            f"{len(first.joint_names)}; map sensors of different joint sets to the common ones first "
-            "(fusion.register.common_joints)."
-        )
-
-
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     """Compute the time (T,) of each frame of a clip, s: the latest of its sensors; gaps are interpolated, and a clip
     without any time has 30 frames per second.
@@ -175,15 +184,6 @@ def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     index = np.arange(len(times))
     times[missing] = np.interp(index[missing], index[~missing], times[~missing])
     return times
-
-
-def _triangles(positions: Array) -> list[Registration]:
-    """Register every frame as published, by its triangles; positions: (T, K, 15, 3) m in the sensors' frames."""
-    places, last = list[Registration](), alone(positions.shape[1])
-    for frame in positions:
-        last = by_triangles(last, frame)
-        places.append(last)
-    return places
 
 
 def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: int) -> Iterator[SwarmEstimate]:
@@ -340,22 +340,13 @@ def _point_skeleton(joint_names: Sequence[str], parents: Sequence[int], lengths:
     parents: index of the parent of each joint, -1 for the root.
     lengths: m, of the bone from each joint but the root to its parent; at rest joints stand above each other by these.
     """
-    n = len(joint_names)
+    n, six = len(joint_names), np.ones(6)
     offsets = np.zeros((n, 3))
     offsets[1:, 2] = lengths
     dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
-    return Skeleton(
-        tuple(joint_names),
-        np.array(parents, dtype=np.int64),
-        offsets,
-        np.arange(n) == 0,
-        np.tile(np.eye(3), (2, 1)),
-        np.zeros(6, dtype=np.int64),
-        dofs,
-        np.full(6, -1e3),
-        np.full(6, 1e3),
-        np.full(6, 0.1),
-    )
+    tree = tuple(joint_names), np.array(parents, dtype=np.int64), offsets, np.arange(n) == 0
+    moves = np.tile(np.eye(3), (2, 1)), np.zeros(6, dtype=np.int64), dofs, -1e3 * six, 1e3 * six, 0.1 * six
+    return Skeleton(*tree, *moves)
 
 
 def common_positions(motion: Motion) -> Array:

@@ -30,8 +30,8 @@ person.
 """
 FEWEST_PAIRS = 12
 """Least number of joints that two sensors must see in common to be registered."""
+# Scale of the Cauchy weights, m.
 _SCALE_M = 0.04
-"""Scale of the Cauchy weights, m."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,6 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
         frame.times,
         jt.COMMON,
         frame.sensor_names,
-        frame.depth,
-        frame.intrinsics,
         None if frame.joint_depth is None else frame.joint_depth[:, pick],
     )
 

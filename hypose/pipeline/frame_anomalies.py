@@ -21,9 +21,8 @@ from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.prefetch import prepared_masks
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import beyond_usual
 from hypose.tracking.joint_features import audit_frame, more_than_body
 from hypose.tracking.tracker import FrameEstimate, Tracker

@@ -23,8 +23,8 @@ from hypose.calibration.depth_registration import (
 )
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, HyposeError, InputError
-from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_background import learn_background
+from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
@@ -34,11 +34,10 @@ from hypose.io.recordings.recording import Recording, ViewSettings, write_record
 from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, TrackedSubject, different_poses, estimate_subject
 from hypose.pipeline.track_loop import FrameList, StageProgress
 from hypose.pipeline.track_options import TrackOptions
 
@@ -110,7 +109,8 @@ def _imported(
     views, cameras, times, notes = list[ViewSettings](), list[Camera](), list[Array](), list[str]()
     for n, source in enumerate(sources):
         report("read", n, len(sources))
-        name = _free(file_name(Path(source).stem), [v.name for v in views])
+        own, taken = file_name(Path(source).stem), [v.name for v in views]
+        name = next(n for n in (own, *(f"{own}_{k}" for k in range(2, len(taken) + 3))) if n not in taken)
         camera, seen = _written(source, folder / "read" / name, frame_rate, millimetres)
         if Path(source).is_dir() and frame_rate is None:
             notes.append(f"{name}: a folder of maps does not tell its frame rate; {FOLDER_RATE:g} per s are taken.")
@@ -198,11 +198,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     source.
     """
     maps = DepthSource(ViewSettings(camera.name, {"depth": folder}), camera, camera.pinhole())
-    first = np.stack([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))])
-    first[first <= 0] = np.nan
-    known = np.isfinite(first).any(0)
-    calm = np.zeros(first.shape[1:], np.float32)
-    calm[known] = np.nanmedian(first[:, known], axis=0)
+    calm = learn_background([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))]).depth
     try:
         found = camera_on_floor(calm, camera)
     except EvidenceError as error:
@@ -307,12 +303,6 @@ def _without_first(view: ViewSettings, count: int) -> None:
         file.rename(file.with_name(f"{k:06d}.png"))
 
 
-def _free(name: str, taken: Sequence[str]) -> str:
-    """Return the name, with a number where it is taken."""
-    numbered = (f"{name}_{n}" for n in range(2, len(taken) + 3))
-    return name if name not in taken else next(n for n in numbered if n not in taken)
-
-
 @dataclass(frozen=True)
 class RegisteredSensors:
     """Depth cameras in one common world.
@@ -333,7 +323,7 @@ def register_depth(
     """Register depth cameras by the motion of one person that each of them saw.
 
     clips: frames of each sensor; its rig is that sensor alone, in a world of its own with z up and the floor at z = 0
-        (`hypose.evidence.depth_floor.camera_on_floor`); times are on its own clock.
+        (`hypose.evidence.depth_evidence.camera_on_floor`); times are on its own clock.
     frame_rate: Hz.
     progress: called with stage, done, total; raising KeyboardInterrupt in it ends the work.
     Returns: the cameras in the first one's world.
@@ -383,7 +373,8 @@ def register_depth(
         poses = tracked.poses
         assert poses is not None
         chosen = different_poses(estimate.body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
-        seen = [[_surface(clips[k][paired[t][k]]) for t in chosen] for k in range(len(clips))]
+        depths = [[clip[paired[t][k]].the(Depth) for t in chosen] for k, clip in enumerate(clips)]
+        seen = [[in_camera(d.surface, d.rig[0].camera_from_world) for d in own] for own in depths]
         cameras = refine_registration(estimate.body, poses[chosen], seen, cameras)
     report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
@@ -422,12 +413,6 @@ def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[li
     if len(out) < 10:
         raise InputError("The depth cameras share fewer than ten instants; start them together, or record for longer.")
     return out
-
-
-def _surface(frame: Frame) -> SurfacePoints:
-    """Return the surface points of a sensor's frame, in the sensor's own frame of reference."""
-    depth = frame.the(Depth)
-    return in_camera(depth.surface, depth.rig[0].camera_from_world)
 
 
 def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraRig) -> Frame:

@@ -34,14 +34,13 @@ from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
 from hypose.evidence.keypoints import person_size
 from hypose.evidence.skin import skin_map
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.io.files import read_json
 from hypose.io.videos.video import open_video
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
+from hypose.pipeline.subject import TrackedSubject
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints, keypoints_on, seen_points
 from hypose.tracking.monocular.problem import SMALLEST_MASK

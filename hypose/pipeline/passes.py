@@ -26,12 +26,11 @@ from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.prefetch import look_ahead
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.inference.layer import Memory, Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
 from hypose.pipeline import input_checks
-from hypose.pipeline.assessment import not_shown, other_people_note
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.assessment import Change, list_changes, not_shown, other_people_note, with_trace
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
@@ -52,8 +51,13 @@ from hypose.pipeline.retracking import (
     start_notes,
 )
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import height_sentence, measured_height
-from hypose.pipeline.trace import Change, list_changes, with_trace
+from hypose.pipeline.subject import (
+    SubjectOptions,
+    TrackedSubject,
+    find_subject,
+    height_sentence,
+    measured_height,
+)
 from hypose.pipeline.track_loop import (
     Deferred,
     FrameSource,
@@ -64,7 +68,6 @@ from hypose.pipeline.track_loop import (
 )
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
-from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -73,10 +76,10 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_joints,
 )
 from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.pose_covariance import unpacked
+from hypose.tracking.refinement import unpacked
 from hypose.tracking.smoothing import Clip
 from hypose.tracking.tracker import (
     RECOVERED,

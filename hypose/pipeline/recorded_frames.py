@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.depth_people import people_seen
 from hypose.evidence.frame import Frame, Silhouettes, pieces_of
-from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.evidence.keypoints import person_size
+from hypose.evidence.people import HullPerson, people_seen, views_to_find
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints, unreported
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video

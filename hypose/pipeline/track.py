@@ -21,11 +21,11 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
-from hypose.pipeline.subject_from_motion import load_subject
+from hypose.pipeline.subject import load_subject
 from hypose.pipeline.track_loop import FrameList, FrameSource, StageProgress
+from hypose.pipeline.track_management import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 
 

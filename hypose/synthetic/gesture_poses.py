@@ -78,12 +78,6 @@ def apply(puppet: Puppet, frame: Keyframe) -> None:
     puppet.reach("right", frame.right)
 
 
-def _angles(rng: np.random.Generator, amount: float) -> Array:
-    """Draw random angles (6,) rad of trunk and head as in `Keyframe`; amount scales their variation and mean."""
-    sd, mean = [0.06, 0.05, 0.04, 0.06, 0.1, 0.2], [0.0, 0.03, 0.0, 0.0, 0.05, 0.0]
-    return rng.normal(mean, sd) * [amount, amount, amount, amount, amount, amount]
-
-
 class Doer:
     """Person who performs gestures: the leading hand, and the frame of the chest, in which directions of arms are
     given.
@@ -91,7 +85,8 @@ class Doer:
 
     def __init__(self, puppet: Puppet, rng: np.random.Generator, leading: str, amount: float) -> None:
         self.puppet, self.rng, self.amount = puppet, rng, amount
-        self.angles = _angles(rng, amount)
+        sd, mean = [0.06, 0.05, 0.04, 0.06, 0.1, 0.2], [0.0, 0.03, 0.0, 0.0, 0.05, 0.0]
+        self.angles = rng.normal(mean, sd) * amount
         bend(puppet, self.angles)
         self.lead, self.other = leading, "left" if leading == "right" else "right"
         self.mirror = np.array([1.0 if leading == "right" else -1.0, 1, 1])

@@ -274,8 +274,8 @@ def render_person(
     blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, _LIT)
 
 
+# Shares of the light: ambient, from the main light, from above.
 _LIT = (0.42, 0.62, 0.10)
-"""Shares of the light: ambient, from the main light, from above."""
 _SHARPNESS = 24
 
 

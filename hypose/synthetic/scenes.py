@@ -51,13 +51,13 @@ RIG_NAMES = ("humaneva-4", "humaneva-7", "ixmas-5", "court-4", "ring-N")
 DISTORTION = np.array([-0.18, 0.06, 0.0008, -0.0006, 0.0])
 """Distortion of a common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""
 _HEIGHTS = (1.6, 2.0, 1.3, 1.8, 1.5, 1.9, 1.4, 2.2)
+# First arguments of `circle` for the cameras of a rig that stand on a circle.
 _CIRCLES = {
     "humaneva-4": ((35, 145, 215, 325), 4.1, _HEIGHTS[:4], 600, (640, 480)),
     "humaneva-7": ((35, 145, 215, 325, 5, 120, 245), 4.1, _HEIGHTS[:7], 600, (640, 480)),
     "ixmas-5": ((20, 70, 150, 225), 3.8, (2.0, 2.5, 1.8, 2.3), 340, (390, 291)),
     "court-4": ((40, 140, 220, 320), 13.5, (5.0, 5.0, 5.0, 5.0), 640, (640, 480)),
 }
-"""First arguments of `circle` for the cameras of a rig that stand on a circle."""
 
 
 def look_at(

@@ -14,7 +14,7 @@ from hypose.body.skin_weights import (
     vertex_normals,
 )
 from hypose.errors import InputError
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
 LEFT_ARM, RIGHT_ARM = [6, 7, 8], [10, 11, 12]

@@ -14,16 +14,15 @@ from hypose.evidence.depth_background import (
     person_on_floor,
     with_still_things,
 )
-from hypose.evidence.depth_evidence import Depth, surface_points
-from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.depth_people import space_behind
+from hypose.evidence.depth_evidence import Depth, camera_on_floor, surface_points
+from hypose.evidence.people import space_behind
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, seen_in_room, sensors
 from tests.evidence.scenes import iou
 

@@ -9,23 +9,30 @@ from benchmarks.depth_sensors.sensor_choice import Choice, cases
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import (
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.register import triangle_transform
+from hypose.fusion.swarm import (
     HIGH,
     LOW,
     MEDIUM,
+    PUBLISHED,
     PUBLISHED_CONFIDENCE,
     PUBLISHED_RULES,
     ConfidenceSettings,
+    MergedWheel,
     NoiseRules,
+    SwarmFrame,
+    SwarmSettings,
     confidence_step,
     depth_error,
+    energy,
     normalised,
+    ride,
     start_confidence,
+    start_swarm,
+    swarm_step,
     unnatural,
 )
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
-from hypose.fusion.register import triangle_transform
-from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
 

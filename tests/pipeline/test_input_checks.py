@@ -13,7 +13,8 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B, other_sides
 from hypose.geometry import se3
-from hypose.pipeline.input_checks import check_inputs, sentences
+from hypose.pipeline.assessment import sentences
+from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
 

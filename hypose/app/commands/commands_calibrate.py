@@ -24,8 +24,8 @@ from hypose.calibration.from_points import PointCalibration, calibrate_from_poin
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.evidence.held_points import without_held
 from hypose.evidence.keypoints import keypoint_names, person_size
+from hypose.evidence.one_person import without_held
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import check_toml, write_calibration

@@ -311,7 +311,7 @@ def warm_up_command(threads: Threads = None) -> None:
     from hypose.app.jobs.job import job_of, run_job
     from hypose.compute.compiled import VARIABLE, cache_folder
     from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
-    from hypose.fusion.live import LiveFuser
+    from hypose.fusion.people import LiveFuser
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 

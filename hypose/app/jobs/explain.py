@@ -14,9 +14,9 @@ from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.io.motions.results import load_result_body
 from hypose.io.recordings.frames import FrameSettings, FrameStream
+from hypose.pipeline.assessment import trace_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.trace import trace_of
-from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.frame_evidence import keypoint_model
 
 
 def explain_joint(results: Path, joint: str, frame: int) -> list[str]:

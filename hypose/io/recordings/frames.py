@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.compute.picture_to_mask import Box
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
@@ -40,7 +40,7 @@ from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
-    MaskRuns,
+    BitMask,
     SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
@@ -80,7 +80,7 @@ class PackedMask:
         they are not wanted or not known.
     """
 
-    runs: MaskRuns | None
+    runs: BitMask | None
     reason: str
     colours: tuple[tuple[Box, NDArray[np.uint16], NDArray[np.uint8]], ...] = ()
 
@@ -526,9 +526,9 @@ class FrameStream:
         runs, reason = self._mask(view, number)
         if runs is None:
             raise InputError(reason)
-        return mask_runs.draw(runs)
+        return packed_masks.draw(runs)
 
-    def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
+    def _mask(self, view: int, frame: int) -> tuple[BitMask | None, str]:
         """Make the mask of a view.
 
         frame: number of the video's frame.
@@ -585,7 +585,7 @@ class FrameStream:
                 y0, y1, x0, x1 = runs.box
                 image = image[y0:y1, x0:x1]
                 return PackedMask(runs, reason, ((runs.box, colour_codes(image), colour_edges(image)),))
-        size = 0 if runs is None else runs.code.nbytes
+        size = 0 if runs is None else runs.bits.nbytes
         found = PackedMask(runs, reason)
         if self._kept_bytes + size <= KEPT_BYTES:
             self._kept[view, index] = found

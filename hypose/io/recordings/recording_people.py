@@ -10,9 +10,8 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import object_points, people_of_objects
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.held_points import without_held
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.one_person import OnePerson, one_person
+from hypose.evidence.one_person import OnePerson, one_person, without_held
 from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, keypoints_of_recording, stored_sizes

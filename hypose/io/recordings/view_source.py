@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.compute.glance import Glance, differing_box, stored_places
-from hypose.compute.picture_to_mask import Box, make_lens, new_picture, shrink_undistort
+from hypose.compute.picture_to_mask import Box, make_lens, shrink_undistort
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.depth_background import (
@@ -29,7 +29,7 @@ from hypose.evidence.depth_background import (
     with_still_things,
 )
 from hypose.evidence.silhouettes import (
-    MaskRuns,
+    BitMask,
     Segmenter,
     as_mask,
     bounding_box,
@@ -186,7 +186,7 @@ class Preparer:
         mx, my = camera.undistort_maps(self.size, self.size)
         scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
-        self._memory = new_picture(self.size[1], self.size[0])
+        self._memory = np.zeros((self.size[1], self.size[0], 3), np.uint8)
         self._lens = lru_cache(maxsize=4)(lambda stored: make_lens(stored, *self._maps))
         self._places = lru_cache(maxsize=4)(lambda stored: stored_places(stored, *self._maps))
 
@@ -220,7 +220,7 @@ class Preparer:
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[MaskRuns, Image]:
+def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[BitMask, Image]:
     """Segment the person in a stored picture.
 
     prepare: conversion to the working size.
@@ -359,7 +359,7 @@ class ViewSource:
 
     def mask(
         self, frame: int, band: Mask | None = None, widened: Callable[[Mask], Mask | None] = lambda mask: None
-    ) -> tuple[MaskRuns | None, str]:
+    ) -> tuple[BitMask | None, str]:
         """Segment the person in a frame.
 
         band: region where the person can be; None for the whole picture.
@@ -372,7 +372,7 @@ class ViewSource:
             return None, f"{self.view.name}, frame {frame}: it has no pictures"
         try:
             runs = self._runs(frame, band)
-            wide = None if band is None else widened(mask_runs.draw(runs))
+            wide = None if band is None else widened(packed_masks.draw(runs))
             return runs if wide is None else self._runs(frame, wide), ""
         except InputError as problem:
             self._problems[frame] = str(problem)
@@ -381,11 +381,11 @@ class ViewSource:
                 self._broken = (frame, str(problem))
             return None, f"{self.view.name}, frame {frame}: {problem}"
 
-    def _runs(self, frame: int, region: Mask | None) -> MaskRuns:
+    def _runs(self, frame: int, region: Mask | None) -> BitMask:
         """Make the mask of a frame within a region; InputError where the frame cannot be read."""
         if self._given:
             mask = self._given.person(frame)
-            return mask_runs.runs_of(mask if region is None else mask & region)
+            return packed_masks.pack(mask if region is None else mask & region)
         assert self.segment is not None  # `mask` has checked
         runs, prepared = mask_in(self._stored(frame), self.prepare, self.segment, region)
         self._shown = frame, prepared

@@ -19,7 +19,7 @@ from hypose.pipeline.live.background_work import PackedMasks
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
 from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.recorder import LiveRecorder
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step
 
