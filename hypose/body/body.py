@@ -97,6 +97,13 @@ class Mesh:
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
         return np.asarray(weights, dtype=np.float64).reshape(v, n_joints)
 
+    def moved(self, vertices: Array) -> Mesh:
+        """Copy the mesh with other vertices (V, 3), m."""
+        out = replace(self, vertices=vertices)
+        if "edges" in self.__dict__:  # the topology is the same; building it again would dominate a shape search
+            out.__dict__["edges"] = self.edges
+        return out
+
     @cached_property
     def rings(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Faces around each vertex, as a pair (first, rows).
@@ -298,10 +305,7 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
         moved = np.einsum("vab,vb->va", turned, v) + np.einsum(
             "vj,ja->va", w, new - np.einsum("jab,jb->ja", change, old)
         )
-        out = replace(mesh, vertices=moved)
-        if "edges" in mesh.__dict__:  # the topology is the same; building it again would dominate a shape search
-            out.__dict__["edges"] = mesh.edges
-        return out
+        return mesh.moved(moved)
 
     marks = body.landmarks
     moved_marks = np.einsum("lab,lb->la", change[marks.joint], marks.offset)

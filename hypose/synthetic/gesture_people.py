@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.body.default_body import asset_arrays
+from hypose.body.joint_angles import frame_of
 from hypose.body.skin_weights import vertex_normals
 from hypose.geometry import Array, so3_exp
 
@@ -55,17 +56,9 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return so3_exp(angle * unit(axis))
 
 
-def _frame(a: ArrayLike, b: ArrayLike) -> Array:
-    """Make the rotation (3, 3) whose columns are a, the part of b across a, and their cross product, normalised."""
-    a = unit(a)
-    b = np.asarray(b, dtype=np.float64)
-    b = unit(b - a * (a @ b))
-    return np.stack([a, b, np.cross(a, b)], 1)
-
-
 def _align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
     """Compute the rotation that takes direction a0 to a1, and b0 into the half plane of a1 and b1."""
-    return _frame(a1, b1) @ _frame(a0, b0).T
+    return frame_of(a1, b1) @ frame_of(a0, b0).T
 
 
 @dataclass(frozen=True)
@@ -193,9 +186,7 @@ def load_people() -> tuple[GesturePerson, ...]:
     """Load the people, dressed: clothes stand off by up to 1.5 _CLOTH_M (another share for each), but not on head
     and hands.
     """
-    file = resources.files("hypose.assets").joinpath("gesture_people.npz")
-    with file.open("rb") as stream:
-        data = dict(np.load(stream, allow_pickle=False))
+    data = asset_arrays("gesture_people.npz")
     names = tuple(str(n) for n in data["joint_names"])
     index, weight = data["skin_index"].astype(int), data["skin_weight"].astype(np.float32)
     weights = np.zeros((len(index), len(names)), np.float32)
@@ -293,7 +284,7 @@ class Puppet:
         along, palm, _ = p.hand_axes(side)
         r_hand = _align(along, palm, goal.fingers, goal.palm)
         axis = unit(d2)
-        v = _frame(axis, palm)
+        v = frame_of(axis, palm)
         q = v.T @ (r_fore.T @ r_hand) @ v
         twist = float(np.arctan2(q[2, 1] - q[1, 2], q[1, 1] + q[2, 2]))
         self.set(f"{side}_shoulder", r_upper)
