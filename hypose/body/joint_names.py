@@ -139,7 +139,11 @@ def match_rig(
             f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; give them weights first."
         )
     absent = tuple(n for n in JOINT_NAMES if n not in found)
-    return MatchedRig(_placed(found, at), out / total, absent)
+    # the joints that the rig lacks are placed by the similarity that brings the template's nearest to the rig's
+    rest, have, there = human().skeleton.rest_joints, [JOINT_NAMES.index(n) for n in found], at[list(found.values())]
+    placed = transform(procrustes(rest[have], there, scale=True)[0], rest)
+    placed[have] = there
+    return MatchedRig(placed, out / total, absent)
 
 
 def _plain(name: str) -> tuple[str, str]:
@@ -207,20 +211,4 @@ def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> d
         shares = [abs(float((at[k] - at[pelvis]) @ whole) / max(float(whole @ whole), 1e-12) - own) for k in free]
         if free and min(shares) < 0.2:
             out[name] = free[int(np.argmin(shares))]
-    return out
-
-
-def _placed(found: Mapping[str, int], at: Array) -> Array:
-    """Compute the positions of all joints; those that the rig lacks by the template's proportions.
-
-    found: index in the rig by our name.
-    at: (n, 3) joint centres of the rig.
-    Returns: (19, 3).
-    """
-    rest, names = human().skeleton.rest_joints, JOINT_NAMES
-    have = np.array([names.index(n) for n in found])
-    there = at[list(found.values())]
-    # the similarity that brings the template's joints nearest to the rig's
-    out = transform(procrustes(rest[have], there, scale=True)[0], rest)
-    out[have] = there
     return out

@@ -115,7 +115,10 @@ def heat_weights(vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: 
     unused = len(v) - len(np.unique(f))
     if not len(f) or unused:
         raise InputError(f"{unused} of the mesh's {len(v)} vertices belong to no face; remove them before rigging.")
-    closest, distance = _closest_points(v, bones)
+    along, rel = bones.end - bones.start, v[:, None] - bones.start
+    share = np.clip((rel * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-18), 0, 1)
+    closest = bones.start + share[..., None] * along
+    distance = np.linalg.norm(v[:, None] - closest, axis=-1)
     near = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
     near = _warm_every_part(near, distance, f)
     source = np.zeros((len(v), n_joints))
@@ -191,14 +194,6 @@ def vertex_normals(vertices: Array, faces: NDArray[np.integer]) -> Array:
     rows = np.repeat(n, 3, axis=0)
     out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-
-
-def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
-    along = bones.end - bones.start
-    rel = v[:, None] - bones.start
-    t = np.clip((rel * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-18), 0, 1)
-    closest = bones.start + t[..., None] * along
-    return closest, np.linalg.norm(v[:, None] - closest, axis=-1)
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -275,7 +275,13 @@ class PeopleTracker:
             p.last[name] = p.members[name].person
             link = self._links[name]
             if len(names) > 1 and not link.anchor and now - link.noted >= self.settings.note:
-                self._note(link, p.members[name], swapped[n], summed - stacked[n] * w[n][:, None], total - w[n], now)
+                # a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor
+                weight = (total - w[n])[:, None]
+                if (weight[_TRUNK] > 0).sum() >= 4:
+                    others = (summed - stacked[n] * w[n][:, None]) / np.maximum(weight, 1)
+                    own = p.members[name].positions
+                    link.noted = now
+                    link.pairs.append((now, own[MIRROR] if swapped[n] else own, np.where(weight > 0, others, np.nan)))
         p.joints = mean if total.min() > 0 else np.where(total[:, None] > 0, mean, p.joints)
         centre = trunk_centre(mean)
         if centre is not None:
@@ -287,22 +293,6 @@ class PeopleTracker:
             p.centre = centre
         p.time, p.blind = now, 0.0
         p.frames += 1
-
-    def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
-        """Keep a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor.
-
-        link: the sensor.
-        body: its skeleton of the person.
-        swapped: whether its sides are exchanged.
-        rest: (15, 3) weighted sum of the others' joints, m.
-        weight: (15,) sum of their weights.
-        now: s of the host's clock.
-        """
-        if (weight[np.array(TRUNK_JOINTS)] > 0).sum() < 4:
-            return
-        link.noted = now
-        others = np.where(weight[:, None] > 0, rest / np.maximum(weight, 1)[:, None], np.nan)
-        link.pairs.append((now, body.positions[MIRROR] if swapped else body.positions, others))
 
     def _merge(self) -> None:
         """Merge two persons of different sensors that have been in the same place for half a second (15 instants)."""

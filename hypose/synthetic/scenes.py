@@ -35,7 +35,6 @@ from hypose.synthetic.performance import OfPerformance, Performance, moved
 from hypose.synthetic.render_rgb import (
     Backdrop,
     Outfit,
-    Room,
     Sensor,
     develop,
     light_at,
@@ -331,14 +330,11 @@ class Scene(OfPerformance):
         return np.stack([dropped_frames(len(self), self.corruption.dropped, r) for r in rngs])
 
     @cached_property
-    def _room(self) -> Room:
-        reach = float(np.abs(self.rig.positions[:, :2]).max())
-        return make_room(np.random.default_rng([self.seed, _ROOM]), max(reach, 3.0))
-
-    @cached_property
     def _backdrops(self) -> list[Backdrop]:
+        reach = float(np.abs(self.rig.positions[:, :2]).max())
+        room = make_room(np.random.default_rng([self.seed, _ROOM]), max(reach, 3.0))
         occluder = occluder_mesh(self.corruption.occluder)
-        return [render_room(self._room, camera, occluder) for camera in self.rig]
+        return [render_room(room, camera, occluder) for camera in self.rig]
 
     @cached_property
     def _outfits(self) -> list[Outfit]:
