@@ -242,14 +242,12 @@ def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[n
     return label[where] == best, np.array([s.start for s in where])
 
 
-def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
-    """Draw the voxels of a hull in pinhole cameras.
-
-    Returns: (C, h, w) uint8 masks, 1 = hull, padded to the common size.
+def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
+    """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
+    views that are not usable.
     """
-    points = hull.surface_points
-    sizes = rig.sizes
-    out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
+    points, rig = hull.surface_points, silhouettes.rig
+    pictures = np.zeros(silhouettes.masks.shape, dtype=np.bool_)
     for c, camera in enumerate(rig):
         w, h = camera.size
         depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
@@ -266,16 +264,7 @@ def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
             uv = camera.project_pinhole(points + offset)
             uv = np.rint(uv[np.isfinite(uv).all(1)]).astype(np.int64)
             uv = uv[((uv >= 0) & (uv < (w, h))).all(1)]
-            out[c, uv[:, 1], uv[:, 0]] = 1
-    return out
-
-
-def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
-    """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
-    views that are not usable.
-    """
-    pictures = hull_masks(hull, silhouettes.rig).astype(bool)
+            pictures[c, uv[:, 1], uv[:, 0]] = True
     masks = silhouettes.masks > 0
-    both = (pictures & masks).sum((1, 2))
-    either = (pictures | masks).sum((1, 2))
+    both, either = (pictures & masks).sum((1, 2)), (pictures | masks).sum((1, 2))
     return np.where(silhouettes.usable, both / np.maximum(either, 1), np.nan)
