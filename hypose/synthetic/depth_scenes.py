@@ -20,9 +20,8 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
-from hypose.synthetic.corruptions import box_mesh, joined_meshes, smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
-from hypose.synthetic.scenes import look_at
+from hypose.synthetic.scenes import box_mesh, joined_meshes, look_at, smooth_noise
 from hypose.synthetic.subjects import SyntheticSubject
 
 KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
