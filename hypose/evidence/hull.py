@@ -183,9 +183,12 @@ def visual_hull(
     low = index.min(0)
     occupancy = np.zeros(index.max(0) - low + 1, dtype=np.bool_)
     occupancy[tuple((index - low).T)] = True
-    if largest:
-        occupancy, shift = _largest(occupancy)
-        low = low + shift
+    if largest:  # the largest connected body of voxels
+        label = np.zeros(occupancy.shape, np.int32)
+        if ndimage.label(occupancy, np.ones((3, 3, 3)), output=label) > 1:
+            best = int(np.bincount(label.ravel())[1:].argmax()) + 1
+            where = ndimage.find_objects(label, best)[best - 1]
+            occupancy, low = label[where] == best, low + [s.start for s in where]
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
 
 
@@ -226,20 +229,6 @@ def _free_cells(
     b0, b1 = np.clip(v0, 0, h).astype(np.int64), np.clip(v1 + 1, 0, h).astype(np.int64)
     pixels = sums[b1, a1] - sums[b0, a1] - sums[b1, a0] + sums[b0, a0]
     return within & (pixels == 0), near | (front & (pixels > 0))
-
-
-def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Select the largest connected body of voxels (nx, ny, nz).
-
-    Returns: the part of the array that holds it; (3,) index at which that part begins.
-    """
-    label = np.zeros(occupancy.shape, np.int32)
-    count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
-    if count == 1:
-        return occupancy, np.zeros(3, dtype=np.int64)
-    best = int(np.bincount(label.ravel())[1:].argmax()) + 1
-    where = ndimage.find_objects(label, best)[best - 1]
-    return label[where] == best, np.array([s.start for s in where])
 
 
 def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:

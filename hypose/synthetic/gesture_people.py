@@ -159,26 +159,17 @@ class GesturePerson:
         flexion = np.array(FLEXION[kind], dtype=np.float64)
         spread = np.deg2rad(12 if kind == "spread" else 0)
         if not touches:
-            thumb = self._open_thumb(side, np.array(_THUMB[kind]) + noise[4])
+            along, palm, _ = self.hand_axes(side)
+            o, a, b = np.deg2rad(np.array(_THUMB[kind]) + noise[4])  # opposition and two flexions
+            axis = np.cross(unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1")), palm)
+            first = rotation_about(axis, o * 0.6) @ rotation_about(along, -o * 0.7 * (1 if side == "right" else -1))
+            thumb = np.stack([first, first @ rotation_about(axis, a), first @ rotation_about(axis, a + b)])
         else:
             x = self.thumbs[SIDES.index(side), 0 if kind == "ok" else 1]
             if kind == "ok":
                 flexion[0] *= np.exp(x[5:8])
             thumb = thumb_of(self, side, x if rng is None else np.r_[x[:3] + rng.normal(0, 0.03, 3), x[3:]])
         return HandShape(np.deg2rad(flexion + noise[:4] * [1, 0.7, 0.5]), spread, thumb)
-
-    def _open_thumb(self, side: str, degrees: Array) -> Array:
-        """Compute the rotations (3, 3, 3) of the thumb's joints relative to the hand, where the thumb touches nothing.
-
-        side: "left" or "right".
-        degrees: (3,) opposition and two flexions.
-        """
-        along, palm, _ = self.hand_axes(side)
-        o, a, b = np.deg2rad(degrees)
-        t = unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1"))
-        axis = np.cross(t, palm)
-        first = rotation_about(axis, o * 0.6) @ rotation_about(along, -o * 0.7 * (1 if side == "right" else -1))
-        return np.stack([first, first @ rotation_about(axis, a), first @ rotation_about(axis, a + b)])
 
 
 @cache
@@ -432,11 +423,6 @@ class Doer:
         """Return the direction (x, y, z) of the elbow, mirrored for left-handed people."""
         return np.array([x, y, z]) * self.mirror
 
-    def middle_finger(self, side: str) -> Array:
-        """Return the vector (3,) m from the wrist to the tip of the middle finger at rest."""
-        person = self.puppet.person
-        return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
-
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
         """Return a hand shape with random variation.
 
@@ -498,7 +484,8 @@ def _palm(do: Doer, side: str) -> float:
 def _tee(do: Doer) -> Keyframe:
     """Pose "tee": a flat hand on the finger tips of the other, upright hand."""
     side = do.other
-    up, length = unit(do.way(0, 0, 1, 0.08)), float(np.linalg.norm(do.middle_finger(side)))
+    person, up = do.puppet.person, unit(do.way(0, 0, 1, 0.08))
+    length = float(np.linalg.norm(person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")))
     wrist = do.middle + do.way(0, -0.33, -0.12, 0.03) - up * length
     upright = ArmGoal(wrist, up, do.way(-1, 0.3, 0, 0.12), do.elbow(1, 0.2, -0.5), do.shape(side, "flat"))
     # short arms do not reach the middle, so that the flat hand is placed at the fingers of the upright one
