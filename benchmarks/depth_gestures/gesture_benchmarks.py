@@ -36,7 +36,7 @@ from benchmarks.multiview.paired import differences
 from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.online import Example, Learner, LearnSettings
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 
 PASSES = 4
 """Over the positive pictures; each pass takes half of the negative ones."""

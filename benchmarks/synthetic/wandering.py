@@ -12,10 +12,9 @@ from benchmarks.synthetic.spoilt_keypoints import like_a_detector
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, se3, so3_exp
-from hypose.synthetic.corruptions import keypoint_places
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, centred, chain
-from hypose.synthetic.scenes import DISTORTION, look_at
+from hypose.synthetic.scenes import DISTORTION, keypoint_places, look_at
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
 RATE = 30.0

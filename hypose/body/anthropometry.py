@@ -148,10 +148,7 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
     normals = vertex_normals(mesh.vertices, mesh.faces)
     share = np.array([_COVERED.get(n.split("_")[-1], 1.0) for n in JOINT_NAMES])
     covered = (share[mesh.skin_index] * mesh.skin_weight).sum(1)
-    out = replace(mesh, vertices=mesh.vertices + thickness * covered[:, None] * normals)
-    if "edges" in mesh.__dict__:
-        out.__dict__["edges"] = mesh.edges
-    return out
+    return mesh.moved(mesh.vertices + thickness * covered[:, None] * normals)
 
 
 def prior_mean() -> Array:
@@ -294,7 +291,9 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
     x /= np.linalg.norm(x)
     basis = np.stack([x, np.cross(normal, x)], 1)
     flat: list[Array] = [np.asarray((loop - point) @ basis, dtype=np.float64) for loop in loops]
-    around = [f for f in flat if _surrounds(f)]
+    # seen from the point, no gap of a loop around it reaches half a turn
+    turns = [np.sort(np.arctan2(f[:, 1], f[:, 0])) for f in flat]
+    around = [f for f, a in zip(flat, turns, strict=True) if np.diff(a, append=a[0] + 2 * np.pi).max() < np.pi]
     if around:
         return _tape(max(around, key=len))
     return _tape(min(flat, key=lambda f: float(np.linalg.norm(f, axis=1).min())))
@@ -323,12 +322,6 @@ def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, nor
     _, loop = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(len(points), len(points))))
     loops = [points[loop == k] for k in np.unique(loop)]
     return [one for one in loops if len(one) > 2]
-
-
-def _surrounds(flat: Array) -> bool:
-    """Test whether the points (n, 2) of a loop lie all round the origin: seen from it, no gap reaches half a turn."""
-    angle = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
-    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)
 
 
 def _tape(flat: Array) -> float:

@@ -261,12 +261,21 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
     """
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
+
+    def at_once(i: int, j: int) -> bool:
+        return left[i].first <= left[j].last and left[j].first <= left[i].last
+
+    def same_body(i: int, j: int) -> bool:  # also where fewer than four bones are known of both
+        apart = np.abs(np.log(sizes[i] / sizes[j]))
+        known = np.isfinite(apart)
+        return known.sum() < 4 or float(np.mean(apart[known])) < AssociationSettings.alike
+
     while True:
         fits: list[tuple[int, int, int]] = []
         for i, a in enumerate(left):
             for j, b in enumerate(left):
                 gap = b.first - a.last
-                if gap > 0 and _same_body(sizes[i], sizes[j]):
+                if gap > 0 and same_body(i, j):
                     reach = AssociationSettings.restart + AssociationSettings.walk * gap / frame_rate
                     away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
                     if not away > reach:
@@ -274,7 +283,7 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
         sure = [
             (g, i, j)
             for g, i, j in fits
-            if not any((k == i) != (m == j) and _at_once(left, i, j, k, m) for _, k, m in fits)
+            if not any((k == i) != (m == j) and at_once(*((j, m) if k == i else (i, k))) for _, k, m in fits)
         ]
         if not sure:
             return sorted(left, key=lambda t: -int(t.seen.sum()))
@@ -284,12 +293,6 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
             del left[n], sizes[n]
         left.append(one)
         sizes.append(_bones(one, names))
-
-
-def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> bool:
-    """Decide whether joining k with m excludes joining i with j, because two simultaneous tracks claim the same one."""
-    a, b = (tracks[j], tracks[m]) if k == i else (tracks[i], tracks[k])
-    return a.first <= b.last and b.first <= a.last
 
 
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
@@ -305,14 +308,6 @@ def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
             if np.isfinite(d).sum() >= 3:
                 out[i] = np.nanmedian(d)
     return out
-
-
-def _same_body(a: Array, b: Array) -> bool:
-    """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
-    both.
-    """
-    both = np.isfinite(a) & np.isfinite(b)
-    return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < AssociationSettings.alike
 
 
 def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:

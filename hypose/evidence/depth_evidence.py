@@ -84,7 +84,20 @@ class Depth:
     @cached_property
     def surface(self) -> SurfacePoints:
         """At most POINTS surface points of each usable view, evenly over its person."""
-        return surface_points(self, POINTS)
+        found, first = [], [0]
+        for c, camera in enumerate(self.rig):
+            made = 0
+            if self.usable[c]:
+                w, h = camera.size
+                seen = self.maps[c, :h, :w], self.person[c, :h, :w], self.boxes[c]
+                points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, POINTS)
+                sd = depth_sd(points[:, 2], cosines)
+                found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
+                made = len(points)
+            first.append(first[-1] + made)
+        found = found or [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+        points, normals, sd = (np.concatenate([f[k] for f in found]) for k in range(3))
+        return SurfacePoints(points, normals, sd, np.array(first, dtype=np.int64))
 
     @cached_property
     def pixels(self) -> tuple[NDArray[np.int64], Array]:
@@ -103,26 +116,6 @@ class Depth:
         return np.median(self.surface.points, axis=0) if len(self.surface.points) else None
 
 
-def surface_points(depth: Depth, count: int) -> SurfacePoints:
-    """Sample at most `count` points per usable view on the person's surface."""
-    found, first = [], [0]
-    for c, camera in enumerate(depth.rig):
-        made = 0
-        if depth.usable[c]:
-            w, h = camera.size
-            seen = depth.maps[c, :h, :w], depth.person[c, :h, :w], depth.boxes[c]
-            points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, count)
-            sd = depth_sd(points[:, 2], cosines)
-            found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
-            made = len(points)
-        first.append(first[-1] + made)
-    if not found:
-        none = np.zeros((0, 3))
-        return SurfacePoints(none, none, np.zeros(0), np.array(first, dtype=np.int64))
-    points, normals, sd = (np.concatenate([f[k] for f in found]) for k in range(3))
-    return SurfacePoints(points, normals, sd, np.array(first, dtype=np.int64))
-
-
 def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> Array:
     """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in its
     frame.
@@ -138,19 +131,6 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
     """Transform points (..., 3), m, from the camera's frame to the world."""
     rotation, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     return (points_camera - shift) @ rotation
-
-
-def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark the pixels whose 3 x 3 neighbourhood lies on
-    one surface.
-
-    jump_m: difference of depth from which neighbours are different surfaces, m.
-    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
-    """
-    kernel = np.ones((3, 3), np.uint8)
-    low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
-    sound = (low > 0) & (high - low < jump_m)
-    return np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32), sound
 
 
 # ---- pose of a sensor from the floor -------------------------------------------------------------------------------

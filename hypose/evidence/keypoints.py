@@ -472,7 +472,10 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
     if not fitting:
         known = ", ".join(f"{s} ({len(n)})" for s, n in KEYPOINT_SETS.items())
         raise InputError(f"there are {count} points per person, which no set has; known are {known}.")
-    excess = {s: _mean([bone_excess(p, s) for p in views]) for s in fitting}
+    excess = dict.fromkeys(fitting, float("nan"))
+    for s in fitting:
+        if known := [v for p in views if (v := bone_excess(p, s)) == v]:
+            excess[s] = float(np.mean(known))
     first = excess[fitting[0]]
     better = min((s for s in fitting if excess[s] == excess[s]), key=lambda s: excess[s], default=fitting[0])
     if stated is not None:
@@ -488,9 +491,3 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
     if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:
         return better, "by the lengths of bones"
     return fitting[0], "by their number"
-
-
-def _mean(values: Sequence[float]) -> float:
-    """Average the values that are not NaN; NaN where there is none."""
-    known = [v for v in values if v == v]
-    return float(np.mean(known)) if known else float("nan")

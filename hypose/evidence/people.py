@@ -20,7 +20,7 @@ from scipy import ndimage
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world, smooth_surface
+from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull, common_view_bounds, visual_hull
 from hypose.geometry import Array
@@ -476,23 +476,40 @@ def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
 
 
 _THICK_M, _VOXEL_M = 0.16, 0.03
+_AROUND = np.ones((3, 3), np.uint8)
 
 
-def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
-    """Compute the space that the person may fill from depth maps: the seen surface and the space up to _THICK_M (m)
-    behind it. It replaces the visual hull of masks.
+SURFACE_LITRES = 15.0
+"""Least surface of a person that one sensor shows, in litres of voxels of VOXEL; arms between two people show less."""
+# m: points this near to a body are explained by it; points further away than the second belong to no person yet
+_EXPLAINED_M, _REACH_M = 0.2, 0.5
+# m: distance of a cluster's own pixels; a pixel nearer than this to another person's body belongs to that person
+_CLUSTER_M = 0.08
+# m behind the visible part of a person: others there do not hide it
+_BEHIND_M = 0.4
+_LEAST_PX, _PER_VOXEL = 50, 2
+_EDGE = np.ones((5, 5), np.uint8)
 
-    depth: maps in which the person is marked.
+
+def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
+    """Compute the space that the person of a frame may fill.
+
+    With depth it is the seen surface and the space up to _THICK_M (m) behind it, else the visual hull of the masks.
+
     bounds: (2, 3) m, limits the space.
     Raises: EvidenceError where no sensor shows a person.
     """
-    found, rays = [], []
-    for c in np.flatnonzero(depth.usable):
-        w, h = depth.rig.sizes[c]
-        z, sound = smooth_surface(np.ascontiguousarray(depth.maps[c, :h, :w]))
-        v, u = np.nonzero(sound & (depth.person[c, :h, :w] > 0))
-        points = in_world(depth.rig[int(c)], back_projected(depth.rig[int(c)], u, v, z[v, u]))
-        ray = points - depth.rig[int(c)].position
+    if frame.depth is None:
+        return visual_hull(frame.the(Silhouettes), bounds)
+    depth, found, rays = frame.depth, list[Array](), list[Array]()
+    for c in np.flatnonzero(depth.usable).tolist():
+        camera, (w, h) = depth.rig[c], depth.rig.sizes[c]
+        given = np.ascontiguousarray(depth.maps[c, :h, :w])
+        # pixels whose neighbours lie on the same surface, at the median of these
+        low, high, z = cv2.erode(given, _AROUND), cv2.dilate(given, _AROUND), cv2.medianBlur(given, 3)
+        v, u = np.nonzero((low > 0) & (high - low < JUMP_M) & (depth.person[c, :h, :w] > 0))
+        points = in_world(camera, back_projected(camera, u, v, z[v, u]))
+        ray = points - camera.position
         found.append(points)
         rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
     if not sum(len(p) for p in found):
@@ -510,28 +527,6 @@ def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
     solid = np.zeros(index.max(0) + 1, dtype=np.bool_)
     solid[tuple(index.T)] = True
     return Hull(solid, origin, _VOXEL_M)
-
-
-SURFACE_LITRES = 15.0
-"""Least surface of a person that one sensor shows, in litres of voxels of VOXEL; arms between two people show less."""
-# m: points this near to a body are explained by it; points further away than the second belong to no person yet
-_EXPLAINED_M, _REACH_M = 0.2, 0.5
-# m: distance of a cluster's own pixels; a pixel nearer than this to another person's body belongs to that person
-_CLUSTER_M = 0.08
-# m behind the visible part of a person: others there do not hide it
-_BEHIND_M = 0.4
-_LEAST_PX, _PER_VOXEL = 50, 2
-_EDGE = np.ones((5, 5), np.uint8)
-
-
-def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
-    """Compute the space that the person of a frame may fill, inside bounds (2, 3), m.
-
-    It comes from depth where there is depth, else it is the visual hull of the masks.
-    """
-    if frame.depth is not None:
-        return space_behind(frame.depth, bounds)
-    return visual_hull(frame.the(Silhouettes), bounds)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:

@@ -311,7 +311,14 @@ def _motion(
     place = {j: i for i, j in enumerate(order)}
     bone = {tuple(sorted(b)): v for b, v in zip(jt.SKELETON_BONES.tolist(), lengths.tolist(), strict=True)}
     bones = [bone.get(tuple(sorted((j, parents[j]))), 0.2) for j in order[1:]]
-    skeleton = _point_skeleton([names[j] for j in order], [place.get(parents[j], -1) for j in order], bones)
+    # a skeleton that only names joints: rigid, with six degrees of freedom
+    offsets, six = np.zeros((len(order), 3)), np.ones(6)
+    offsets[1:, 2] = bones
+    above = np.array([place.get(parents[j], -1) for j in order], dtype=np.int64)
+    tree = tuple(names[j] for j in order), above, offsets, np.arange(len(order)) == 0
+    dofs = tuple(f"{names[order[0]]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
+    moves = np.tile(np.eye(3), (2, 1)), np.zeros(6, dtype=np.int64), dofs
+    skeleton = Skeleton(*tree, *moves, -1e3 * six, 1e3 * six, 0.1 * six)
     wrong = known["wrong"]
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
     low_confidence = np.asarray(p > DOUBTFUL_P)
@@ -331,22 +338,6 @@ def _motion(
         low_confidence=np.asarray(low_confidence.any(1)),
         systematic_covariance=isotropic(known["systematic"][:, order]),
     )
-
-
-def _point_skeleton(joint_names: Sequence[str], parents: Sequence[int], lengths: Sequence[float]) -> Skeleton:
-    """Make a skeleton that only names joints, for motions without poses: rigid, with six degrees of freedom.
-
-    joint_names: names of all joints, the root first.
-    parents: index of the parent of each joint, -1 for the root.
-    lengths: m, of the bone from each joint but the root to its parent; at rest joints stand above each other by these.
-    """
-    n, six = len(joint_names), np.ones(6)
-    offsets = np.zeros((n, 3))
-    offsets[1:, 2] = lengths
-    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
-    tree = tuple(joint_names), np.array(parents, dtype=np.int64), offsets, np.arange(n) == 0
-    moves = np.tile(np.eye(3), (2, 1)), np.zeros(6, dtype=np.int64), dofs, -1e3 * six, 1e3 * six, 0.1 * six
-    return Skeleton(*tree, *moves)
 
 
 def common_positions(motion: Motion) -> Array:

@@ -275,7 +275,13 @@ class PeopleTracker:
             p.last[name] = p.members[name].person
             link = self._links[name]
             if len(names) > 1 and not link.anchor and now - link.noted >= self.settings.note:
-                self._note(link, p.members[name], swapped[n], summed - stacked[n] * w[n][:, None], total - w[n], now)
+                # a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor
+                weight = (total - w[n])[:, None]
+                if (weight[_TRUNK] > 0).sum() >= 4:
+                    others = (summed - stacked[n] * w[n][:, None]) / np.maximum(weight, 1)
+                    own = p.members[name].positions
+                    link.noted = now
+                    link.pairs.append((now, own[MIRROR] if swapped[n] else own, np.where(weight > 0, others, np.nan)))
         p.joints = mean if total.min() > 0 else np.where(total[:, None] > 0, mean, p.joints)
         centre = trunk_centre(mean)
         if centre is not None:
@@ -287,22 +293,6 @@ class PeopleTracker:
             p.centre = centre
         p.time, p.blind = now, 0.0
         p.frames += 1
-
-    def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
-        """Keep a pair of skeletons (this sensor's, the mean of all others) for the next registration of the sensor.
-
-        link: the sensor.
-        body: its skeleton of the person.
-        swapped: whether its sides are exchanged.
-        rest: (15, 3) weighted sum of the others' joints, m.
-        weight: (15,) sum of their weights.
-        now: s of the host's clock.
-        """
-        if (weight[np.array(TRUNK_JOINTS)] > 0).sum() < 4:
-            return
-        link.noted = now
-        others = np.where(weight[:, None] > 0, rest / np.maximum(weight, 1)[:, None], np.nan)
-        link.pairs.append((now, body.positions[MIRROR] if swapped else body.positions, others))
 
     def _merge(self) -> None:
         """Merge two persons of different sensors that have been in the same place for half a second (15 instants)."""
@@ -324,52 +314,45 @@ class PeopleTracker:
     def _place(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         """Register a sensor, or refit its registration, where that is due.
 
+        A sensor without a transform is tried at its last place, then by pairing persons; a registered one is refitted
+        to the pairs of the last seconds.
+
         name: name of the sensor.
         bodies: its skeletons.
         now: s of the host's clock.
         """
         link, s = self._links[name], self.settings
         if link.motion is not None:
-            if not link.anchor and now - link.fitted >= s.refit and len(link.pairs) >= 10:
-                self._refit(link, now)
+            if link.anchor or now - link.fitted < s.refit or len(link.pairs) < 10:
+                return
+            while link.pairs and link.pairs[0][0] < now - s.window:
+                link.pairs.popleft()
+            link.fitted = now
+            if len(link.pairs) < 10:
+                return
+            chosen = list(link.pairs)[:: max(1, len(link.pairs) // 40)]
+            both = np.stack([np.stack([target, body]) for _, body, target in chosen])
+            # on all joints: the trunk is too small for its joints' constant errors (scenes A, B of the simulator, seeds
+            # 0 to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
+            fit = register(both, iterations=8)
+            if fit.registered[1] and fit.residual[1] < s.residual:
+                link.motion, link.residual = fit.common_from_sensor[1], float(fit.residual[1])
             return
         seen = {p.id: p.joints for p in self._people if p.members and p.frames >= s.birth}
         if not seen:
             return
         link.shots.append((now, {b.person: b.positions for b in bodies}, seen))
         # one sensor at a time, so that no frame is late
-        if len(link.shots) >= s.shots and now - link.tried >= s.attempt and now > self._tried:
-            link.tried = self._tried = now
-            self._try(link, now)
-
-    def _refit(self, link: _Link, now: float) -> None:
-        """Refit the registration of a sensor to the pairs of the last seconds; now: s of the host's clock."""
-        s = self.settings
-        while link.pairs and link.pairs[0][0] < now - s.window:
-            link.pairs.popleft()
-        link.fitted = now
-        if len(link.pairs) < 10:
+        if len(link.shots) < s.shots or now - link.tried < s.attempt or now <= self._tried:
             return
-        stride = max(1, len(link.pairs) // 40)
-        chosen = list(link.pairs)[::stride]
-        both = np.stack([np.stack([target, body]) for _, body, target in chosen])
-        # on all joints: the trunk is too small for its joints' constant errors (scenes A, B of the simulator, seeds 0
-        # to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
-        found = register(both, iterations=8)
-        if found.registered[1] and found.residual[1] < s.residual:
-            link.motion, link.residual = found.common_from_sensor[1], float(found.residual[1])
-
-    def _try(self, link: _Link, now: float) -> None:
-        """Try to register a sensor: at its last place, else by pairing persons; now: s of the host's clock."""
-        s = self.settings
+        link.tried = self._tried = now
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
         shots = [(bodies, people) for _, bodies, people in link.shots]
-        score = np.inf if link.before is None else place_score(link.before, shots)
+        found, score = None, np.inf if link.before is None else place_score(link.before, shots)
         if link.before is not None and score < s.residual:
             found = link.before, score
-        else:
-            found = find_place(shots, s.shots, s.residual, s.distinct)
+        found = found or find_place(shots, s.shots, s.residual, s.distinct)
         if found is not None:
             link.motion, link.residual = found
             link.trusted, link.fitted, link.strays = True, now, 0

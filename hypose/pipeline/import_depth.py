@@ -137,7 +137,13 @@ def _imported(
         )
     rate = float(np.round(np.median(rates), 1))
     for view, camera, seen in zip(views, cameras, times, strict=True):
-        number, known = _in_step(seen, rate)
+        # the nearest map of each instant k / rate, and whether it is near enough
+        after = seen - seen[0]
+        at = np.arange(round(after[-1] * rate) + 1) / rate
+        right = np.minimum(np.searchsorted(after, at), len(after) - 1)
+        left = np.maximum(right - 1, 0)
+        number = np.where(at - after[left] < after[right] - at, left, right)
+        known = np.abs(after[number] - at) <= SETTINGS.placing_near / rate
         if lost := int((~known).sum()):
             notes.append(f"{view.name}: {lost} of {len(known)} frames were lost while recording; their maps are empty.")
         _moved(folder / "read" / view.name, folder / "depth" / view.name, number, known, camera.size)
@@ -152,7 +158,11 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
-            shared = [v.name for v, c in zip(views, cameras, strict=True) if empty and _several(folder, v, c, rate)]
+            shared, many = list[str](), FrameSettings(silhouettes=recording.silhouettes, people=True)
+            for view, camera in zip(views, cameras, strict=True) if empty else ():
+                with FrameStream(_recording(folder, CameraRig((camera,)), [view], rate), many) as frames:
+                    if count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1:
+                        shared.append(view.name)
             if shared:
                 first_s = SETTINGS.placing_looked_at / rate
                 raise type(error)(
@@ -230,16 +240,6 @@ def _rate(times: Array, source: str | Path) -> float:
     return found
 
 
-def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Assign to each instant k / rate the nearest map of those at times (T,) s, and whether it is near enough."""
-    after = times - times[0]
-    at = np.arange(round(after[-1] * rate) + 1) / rate
-    right = np.minimum(np.searchsorted(after, at), len(after) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(at - after[left] < after[right] - at, left, right)
-    return nearest, np.abs(after[nearest] - at) <= SETTINGS.placing_near / rate
-
-
 def _moved(
     read: Path, folder: Path, number: NDArray[np.int64], known: NDArray[np.bool_], size: tuple[int, int]
 ) -> None:
@@ -283,13 +283,6 @@ def _clip(recording: Recording) -> list[Frame]:
     shown = np.array(areas)
     whole = np.flatnonzero(shown > 0.5 * np.median(shown[shown > 0]))
     return found[whole[0] : whole[-1] + 1]
-
-
-def _several(folder: Path, view: ViewSettings, camera: Camera, rate: float) -> bool:
-    """Return whether several people are seen in the frames by which a camera is registered; the empty room is known."""
-    recording = _recording(folder, CameraRig((camera,)), [view], rate)
-    with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
-        return count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1
 
 
 def _without_first(view: ViewSettings, count: int) -> None:

@@ -17,9 +17,18 @@ from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array, se3, transform
 from hypose.gestures.depth_pictures import KINECT
-from hypose.synthetic.corruptions import box_mesh, joined_meshes
-from hypose.synthetic.gesture_people import GesturePerson, Puppet, load_people, rotation_about
-from hypose.synthetic.gesture_poses import GESTURES, annotated, apply, gesture, movement
+from hypose.synthetic.gesture_people import (
+    GESTURES,
+    GesturePerson,
+    Puppet,
+    annotated,
+    apply,
+    gesture,
+    load_people,
+    movement,
+    rotation_about,
+)
+from hypose.synthetic.scenes import box_mesh, joined_meshes
 
 PICTURE_SIZE = (640, 480)
 _PINHOLE = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)

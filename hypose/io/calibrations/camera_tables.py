@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -393,7 +393,12 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
     Raises: CalibrationError that names file, camera and key.
     """
     kalibr = any(_CHAINED in t for t in tables.values())
-    poses = dict(_chained(rig, tables) if kalibr else ((n, _pose(rig.where(n), t)) for n, t in tables.items()))
+    poses = dict[str, Array | None]()
+    chained = np.eye(4)  # Kalibr's poses are relative to the camera before, the first is at the origin
+    for name, table in tables.items():
+        step = numbers_if_any(rig.where(name), table, (_CHAINED,), (4, 4)) if kalibr else None
+        chained = chained if step is None else step @ chained
+        poses[name] = chained if kalibr else _pose(rig.where(name), table)
     placed = [name for name, pose in poses.items() if pose is not None]
     if tables and not placed:
         rig.notes.append(
@@ -416,15 +421,6 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
     strange = sorted({k for t in tables.values() for k in t if k not in _UNDERSTOOD})
     if strange:
         rig.notes.append(f"{rig.path.name}: {', '.join(strange[:6])} of the cameras is not understood and passed over.")
-
-
-def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, Array]]:
-    """Yield Kalibr's poses: each relative to the camera before it, the first at the origin."""
-    pose = np.eye(4)
-    for name, table in tables.items():
-        step = numbers_if_any(rig.where(name), table, (_CHAINED,), (4, 4))
-        pose = pose if step is None else step @ pose
-        yield name, pose
 
 
 def _pose(where: str, table: Table) -> Array | None:

@@ -102,7 +102,13 @@ def write_bvh(path: str | Path, motion: Motion) -> None:
     order: list[int] = []
     lines = ["HIERARCHY"]
     _joint(skeleton, 0, 0, lines, order)
-    channels = _channels(skeleton, poses, order)
+    local = local_joint_rotations(skeleton, poses)[:, order]
+    # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
+    # their twist
+    root = continuous_euler_zxy(local[:, :1], prior_axis=1)
+    euler = np.concatenate([root, continuous_euler_zxy(local[:, 1:])], axis=1)
+    position = skeleton.forward(poses)[1][:, 0] @ Y_UP.T * _CM
+    channels = np.concatenate([position, np.degrees(euler).reshape(len(poses), -1)], axis=1)
     lines += ["MOTION", f"Frames: {len(poses)}", f"Frame Time: {1 / motion.frame_rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in channels.tolist()]
     write_text(path, "\n".join(lines) + "\n")
@@ -131,37 +137,11 @@ def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list
     for child in below:
         _joint(skeleton, child, depth + 1, lines, order)
     if not below:
-        end = f"{indent}\t"
-        lines += [f"{end}End Site", f"{end}{{", f"{end}\tOFFSET {_vector(_end(skeleton, j))}", f"{end}}}"]
+        end, name = f"{indent}\t", skeleton.joint_names[j]
+        # a hand goes on in the forearm's direction
+        model = _UP if name == "head" else _FORWARD if name.endswith("ankle") else 0.5 * skeleton.rest_offsets[j]
+        lines += [f"{end}End Site", f"{end}{{", f"{end}\tOFFSET {_vector(Y_UP @ model * _CM)}", f"{end}}}"]
     lines.append(f"{indent}}}")
-
-
-def _end(skeleton: Skeleton, j: int) -> Array:
-    """Compute the offset (3,), cm, from joint j, the last of its limb, to the end of its bone, in the file's axes."""
-    name = skeleton.joint_names[j]
-    if name == "head":
-        model = _UP
-    elif name.endswith("ankle"):
-        model = _FORWARD
-    else:  # a hand goes on in the forearm's direction
-        model = 0.5 * skeleton.rest_offsets[j]
-    return Y_UP @ model * _CM
-
-
-def _channels(skeleton: Skeleton, poses: Array, order: list[int]) -> Array:
-    """Compute the channels (T, 3 + 3 J) of all frames: the root's position, cm, and the Euler angles Z X Y, degrees.
-
-    poses: (T, D) pose vectors.
-    order: numbers of the joints in the order of their channels.
-    """
-    local = local_joint_rotations(skeleton, poses)[:, order]
-    # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
-    # their twist
-    root = continuous_euler_zxy(local[:, :1], prior_axis=1)
-    euler = np.concatenate([root, continuous_euler_zxy(local[:, 1:])], axis=1)
-    _, centres = skeleton.forward(poses)
-    position = centres[:, 0] @ Y_UP.T * _CM
-    return np.concatenate([position, np.degrees(euler).reshape(len(poses), -1)], axis=1)
 
 
 def _vector(v: Array) -> str:

@@ -314,25 +314,22 @@ def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: f
     Raises: InputError where the recording cannot be used.
     """
     path = Path(path)
-    ending = path.suffix.lower()
     if path.is_dir():
         return _folder(path, frame_rate, millimetres)
-    if ending == ".mkv":
-        return _azure(path)
-    if ending in (".bag", ".db3"):
-        found = read_realsense(path)
-        if np.any(found.camera.distortion):
-            raise InputError(
-                f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth "
-                "stream as the camera rectifies it."
-            )
-        return found
-    if ending == ".r3d":
-        return _record3d(path)
-    raise InputError(
-        f"{path} is no recording of a depth camera that is known; give {', '.join(ENDINGS)}, or a folder of 16-bit PNG "
-        "in millimetres."
-    )
+    readers = {".mkv": _azure, ".bag": read_realsense, ".db3": read_realsense, ".r3d": _record3d}
+    ending = path.suffix.lower()
+    if ending not in readers:
+        raise InputError(
+            f"{path} is no recording of a depth camera that is known; give {', '.join(ENDINGS)}, or a folder of 16-bit "
+            "PNG in millimetres."
+        )
+    found = readers[ending](path)
+    if readers[ending] is read_realsense and np.any(found.camera.distortion):
+        raise InputError(
+            f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth stream "
+            "as the camera rectifies it."
+        )
+    return found
 
 
 def _pinhole(

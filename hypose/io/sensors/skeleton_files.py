@@ -242,7 +242,9 @@ class FolderWriter:
         with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
-                self._session()
+                sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
+                about = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock}
+                write_text(self.folder / "session.json", to_json(about | {"sensors": sensors}))
             number, last = self._frame.get(sensor, (-1, math.nan))
             if time != last:
                 number += 1
@@ -256,11 +258,6 @@ class FolderWriter:
                 if s
             ]
             self._skeleton.write("".join(rows))
-
-    def _session(self) -> None:
-        sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
-        value = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
-        write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:
         """Flush the files to the system.

@@ -337,22 +337,21 @@ def join_observations(
     """
     at = np.asarray(times, dtype=np.float64)
     rows = np.arange(len(at))
-    positions, state, seen, depth = [], [], [], []
-    with_depth = all(s.joint_depth is not None for s in synced)
-    for s, column in zip(synced, columns, strict=True):
-        c = np.maximum(column, 0)
-        visible = (column >= 0) & (s.state[rows, c] > 0).any(1)
-        positions.append(np.where(visible[:, None, None], s.positions[rows, c], np.nan))
-        state.append(np.where(visible[:, None], s.state[rows, c], 0).astype(np.uint8))
-        seen.append(np.where(visible, at, np.nan))
-        if with_depth and s.joint_depth is not None:
-            depth.append(np.where(visible[:, None], s.joint_depth[rows, c], 0.0))
-    p, q, t = np.stack(positions, 1), np.stack(state, 1), np.stack(seen, 1)
-    d = np.stack(depth, 1) if with_depth else None
+    own = [np.maximum(c, 0) for c in columns]
+    visible = [(c >= 0) & (s.state[rows, k] > 0).any(1) for s, c, k in zip(synced, columns, own, strict=True)]
+
+    def stacked(values: Sequence[np.ndarray], hidden: float) -> np.ndarray:
+        """Stack arrays (T, ...) of the sensors; `hidden` where a sensor does not see the person."""
+        shown = (v.reshape(-1, *[1] * (a.ndim - 1)) for v, a in zip(visible, values, strict=True))
+        return np.stack([np.where(v, a, hidden) for v, a in zip(shown, values, strict=True)], 1)
+
+    p = stacked([s.positions[rows, k] for s, k in zip(synced, own, strict=True)], np.nan)
+    q = stacked([s.state[rows, k] for s, k in zip(synced, own, strict=True)], 0).astype(np.uint8)
+    t = stacked([at] * len(synced), np.nan)
+    known = [s.joint_depth[rows, k] for s, k in zip(synced, own, strict=True) if s.joint_depth is not None]
+    d = stacked(known, 0.0) if len(known) == len(synced) else [None] * len(at)
     names, joints = tuple(s.name for s in synced), synced[0].joint_names
-    return [
-        SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=None if d is None else d[n]) for n in range(len(at))
-    ]
+    return [SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=d[n]) for n in range(len(at))]
 
 
 def shifted(stream: SensorStream, seconds: float) -> SensorStream:
