@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,7 +127,7 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
         return term
     points = term.points.copy()
     points[..., 2] *= model.cue_weight[:, model.known]
-    return replace(term, points=points)
+    return term._replace(points=points)
 
 
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:

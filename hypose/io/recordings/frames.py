@@ -35,13 +35,13 @@ from hypose.evidence.depth_background import behind_things
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
     BitMask,
+    Segmenter,
     SilhouetteSettings,
     flag_collapsed,
-    make_segmenter,
     make_silhouettes,
     with_doubted_limbs,
 )
@@ -82,7 +82,7 @@ class PackedMask:
 
     def outline(self) -> ViewOutline | None:
         """Compute the outline of the mask as tracking uses it; None where there is no mask."""
-        return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
+        return None if self.runs is None else outline_of_packed(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 class PendingMasks:
@@ -418,7 +418,7 @@ class FrameStream:
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
             source = ViewSource(view, camera, small, self.options.people, len(r.views))
             if background is not None:
-                source.segment = make_segmenter(background, self.options.silhouettes)
+                source.segment = Segmenter(background, self.options.silhouettes)
             self._sources.append(source)
         masks = [s.objects for s in self._sources]
         objects, notes = persons_objects(r, self.rig, masks, self.keypoints, self.options.people)
@@ -571,7 +571,7 @@ class FrameStream:
         source, background = self._sources[view], self.backgrounds[view]
         source.given = None if picture is None else (number, picture)
         if background is not None:
-            source.segment = make_segmenter(background, settings)
+            source.segment = Segmenter(background, settings)
         runs, reason = self._mask(view, number)
         if runs is None:
             raise InputError(reason)
