@@ -14,7 +14,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array, Image, so3_turns
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.recipe import WholeClip, backward_estimates, information, picture_recipe, together
 from hypose.tracking.monocular.settings import MonoSettings

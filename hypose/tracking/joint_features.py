@@ -26,7 +26,7 @@ from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 _SCALE_M = 0.025
 """m: scale of Tukey's weight on the distance of outlines; zero at three times that, because it is another object."""

@@ -13,11 +13,11 @@ from hypose.body.default_body import human
 from hypose.evidence.edges_flow import Flow
 from hypose.evidence.frame import Picture
 from hypose.fitting.problem import Posed
-from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.picture_rows import contour_nodes, view_of
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.problem import PictureProblem, field_of, fixed_parts, frame_evidence, newton_descent
 from hypose.tracking.monocular.settings import FlowSettings, MonoSettings, body_dofs
+from hypose.tracking.smoothing import soles_of
 from tests.monocular.pictures import SIZE, camera, mask
 
 ONLY_POINTS = MonoSettings(edges=False)

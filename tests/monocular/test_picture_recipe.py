@@ -12,7 +12,7 @@ from hypose.compute.losses import lorentzian, quadratic
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import clicked_joints

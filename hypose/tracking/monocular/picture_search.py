@@ -48,7 +48,7 @@ from hypose.tracking.monocular.problem import (
     score,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from hypose.tracking.pose_covariance import PoseUncertainty, packed
+from hypose.tracking.refinement import PoseUncertainty, packed
 
 _MARGIN = 40
 """px around the person in which flow is computed"""
@@ -109,7 +109,7 @@ class PictureSearch:
     def mirror_now(self, h: Hypotheses, frame: PreparedFrame, /) -> bool:
         """Decide whether mirrored limbs are tried in this frame."""
         search = self.settings.search
-        wanted = frame.frame.keypoints is not None if search.flips is None else search.flips
+        wanted = bool(frame.frame.of(Keypoints)) if search.flips is None else search.flips
         return wanted and frame.done % search.flip_every == 0
 
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
