@@ -20,7 +20,6 @@ from hypose.compute.parts import covered
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.run import track_source
 from hypose.pipeline.subject import (
     AnthropometryOptions,
     SubjectEstimate,
@@ -28,6 +27,7 @@ from hypose.pipeline.subject import (
     estimate_subject,
     first_start,
 )
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene

@@ -122,7 +122,7 @@ def has_masks(recording: Recording) -> bool:
 def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
     """Select the settings of the one camera's masks.
 
-    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
+    evidence: option of the command, one of `tracking.recipes.PICTURE_CUES`.
     Returns: the settings; None where the camera has no masks, or the evidence is without them.
     Raises: InputError where the evidence needs masks or key points that the camera does not have.
     """
@@ -146,7 +146,7 @@ def picture_options(recording: Recording, start: str, evidence: str) -> FrameSet
 
     recording: recording of one camera.
     start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
+    evidence: one of `tracking.recipes.PICTURE_CUES`.
     """
     return FrameSettings(
         side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
