@@ -130,7 +130,7 @@ def _tracker_and_frames(
         picture = Picture(scene.camera, image)
         frames.append(Frame(float(scene.performance.times[i]), i, keypoints=seen, picture=picture))
     search = PictureSearch(
-        scene.body, settings, scene.active, threads=1, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
+        scene.body, settings, scene.active, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
     )
     return Tracker(scene.body, picture_recipe(search), TrackerSettings("both", frame_rate=FRAME_RATE)), frames
 

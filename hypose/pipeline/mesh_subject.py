@@ -21,10 +21,17 @@ from scipy.spatial import KDTree
 
 from hypose.body.anthropometry import body_of, entity, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.body.coarse_mesh import coarse_mesh, decimated
 from hypose.body.default_body import human
 from hypose.body.joint_names import match_rig
-from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
+from hypose.body.skin_weights import (
+    body_bones,
+    carried_weights,
+    coarse_mesh,
+    decimated,
+    heat_weights,
+    influences,
+    vertex_normals,
+)
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import DepthTerm, PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose

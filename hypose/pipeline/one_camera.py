@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -196,7 +196,7 @@ def subject_in_picture(
     """
     with contextlib.closing(PictureFrames(source)) as frames:
         template, seen = body or human(), _keypoints_of(source)
-        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        notes = [_evidence_note(source, evidence, bool(seen))]
         if start in POINT_STARTS:
             at, points = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
@@ -211,7 +211,7 @@ def subject_in_picture(
             points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
-        later = () if body is not None else _later_points(seen, at)
+        later = () if body is not None else _later_points(seen, at, len(source))
         fit = initialise(
             template,
             points_on,
@@ -239,11 +239,11 @@ def subject_in_picture(
     return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
-def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
-    """Return the key points of every frame, without reading pictures where possible."""
+def _keypoints_of(source: FrameSource) -> dict[int, Keypoints]:
+    """Return the key points by frame, without reading pictures where possible."""
     if isinstance(source, RecordedFrames):
-        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
-    return [source.frame(i).keypoints for i in range(len(source))]
+        return dict(enumerate(source.keypoints))
+    return {i: points for i in range(len(source)) for points in source.frame(i).of(Keypoints)}
 
 
 def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
@@ -254,23 +254,22 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
     keypoints: whether any frame has key points.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    masked = isinstance(source, RecordedFrames) and source.options.silhouettes is not None
+    masked = isinstance(source, RecordedFrames) and Silhouettes in source.kinds
     used = ["edges", "optical flow"]
     used += ["silhouettes"] if masked else []
     used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
     return f"one camera ({name}): {', '.join(used)}"
 
 
-def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
+def _later_points(seen: Mapping[int, Keypoints], first: int, stop: int) -> tuple[PointsOn, ...]:
     """Select key points of frames over the whole clip, from which lengths of the body are measured.
 
-    seen: key points of all frames.
-    first: number of the frame of the start.
+    seen: key points by frame.
+    first, stop: number of the frame of the start, and of all frames.
     Returns: functions that place the key points of a frame on a body.
     """
-    rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
-    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
-    return tuple(partial(keypoints_on, k) for k in some)
+    rows = np.unique(np.linspace(first, stop - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:].tolist()
+    return tuple(partial(keypoints_on, seen[i]) for i in rows if i in seen and _enough(seen[i]))
 
 
 def _enough(seen: Keypoints) -> bool:
@@ -278,22 +277,22 @@ def _enough(seen: Keypoints) -> bool:
     return seen_points(keypoints_on(seen, human())) >= LEAST_CLICKS
 
 
-def _first_keypoints(source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float) -> tuple[int, Keypoints]:
+def _first_keypoints(source: FrameSource, seen: Mapping[int, Keypoints], frame_rate: float) -> tuple[int, Keypoints]:
     """Find the first frame of the first second with enough key points; return its number and its key points.
 
-    seen: key points of all frames.
+    seen: key points by frame.
     frame_rate: Hz.
     Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    if not any(k is not None for k in seen):
+    if not seen:
         raise InputError(
             f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
             "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
         )
-    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
-        if k is not None and _enough(k):
-            return i, k
+    for i in range(1 + int(frame_rate)):
+        if i in seen and _enough(seen[i]):
+            return i, seen[i]
     raise EvidenceError(
         f"Camera {name}: no frame of the first second has {LEAST_CLICKS} confident key points; give --frames to begin "
         "later, or --start clicks.json."

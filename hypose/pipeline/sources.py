@@ -44,7 +44,8 @@ class RecordedFrames(FrameSource, Protocol):
     recording: Recording
     options: FrameSettings
     rig: CameraRig
-    keypoints: Sequence[Keypoints] | None
+    kinds: frozenset[type]
+    keypoints: Sequence[Keypoints]
     frames: range
 
     def pictures(self) -> list[ViewSource]:
@@ -75,9 +76,10 @@ class PictureFrames:
         frame = self._source.frame(index)
         if self._pictures is None or not isinstance(self._source, RecordedFrames):
             return frame
-        seen, mask = frame.silhouettes, None
-        if seen is not None and seen.usable[0] and seen.areas[0] >= SETTINGS.picture_smallest_mask:
-            mask = seen.masks[0]
+        mask = None
+        for seen in frame.of(Silhouettes):
+            if seen.usable[0] and seen.areas[0] >= SETTINGS.picture_smallest_mask:
+                mask = seen.masks[0]
         picture = Picture(self._source.rig[0], self._pictures.image(frame.index), None, mask)
         return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
 
@@ -141,7 +143,7 @@ def tracked_frames(
     if not (
         "detections" in needs
         and isinstance(source, RecordedFrames)
-        and source.keypoints is None
+        and Keypoints not in source.kinds
         and all(view.source is not None for view in source.recording.views)
     ):
         yield from (source.frame(i) for i in indices)
@@ -165,9 +167,7 @@ class ColourDetections:
     def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body
         self._pictures = source.pictures()
-        first = source.frame(0).silhouettes
-        if first is None:
-            raise InputError("Skin colour is looked for inside the silhouettes; choose an evidence that has them.")
+        first = source.frame(0).the(Silhouettes)
         images = self._images(0, first)
         if np.ptp(images.astype(np.int16), axis=-1).max() < 8:
             raise InputError(

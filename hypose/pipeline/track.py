@@ -22,7 +22,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
-from hypose.evidence.keypoints import keypoint_names
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameStream
@@ -227,9 +226,9 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     none.
     """
     found = load_person(recording, small)
-    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+    if not found.one.by_rays:
         return None
-    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+    return KeypointPeople(found.one.people, found.names, small)
 
 
 def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:

@@ -4,7 +4,7 @@
 people are tracked each in what the others leave (`hypose.pipeline.track_loop`), and a callback manages who comes and
 leaves.
 
-Pixels that other people's bodies cover are no evidence for a person (`hypose.evidence.shared_masks`). Within a frame
+Pixels that other people's bodies cover are no evidence for a person (`hypose.evidence.people`). Within a frame
 people are solved one after the other, and the first one alternates: it sees the others where they are predicted, the
 last one where they have been solved.
 """
@@ -26,10 +26,9 @@ from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.cues import OwnEvidence
-from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.people import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other, own_frame
 from hypose.evidence.prefetch import pack_once
-from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import Checkpoint

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from hypose.body.body import Body, Shape, deform
 from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_people import occupied_space
 from hypose.evidence.hull import Hull
+from hypose.evidence.people import occupied_space
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log

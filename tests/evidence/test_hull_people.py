@@ -6,8 +6,7 @@ import trimesh
 
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.hull_people import people_in_hull
-from hypose.evidence.shared_masks import BodyShape
+from hypose.evidence.people import BodyShape, people_in_hull
 from hypose.pipeline.track_loop import shape_of
 from hypose.pipeline.track_management import follow_places
 from hypose.synthetic.scenes import make_scene

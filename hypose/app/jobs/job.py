@@ -39,9 +39,9 @@ from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.geometry import runs
 from hypose.io.files import check_writable, claimed
-from hypose.io.motions.c3d import joint_residuals, write_c3d
+from hypose.io.motions.animation import write_people_glb
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.gltf import write_people_glb
+from hypose.io.motions.marker_files import joint_residuals, write_c3d
 from hypose.io.motions.results import (
     ResultsFolder,
     load_body,
@@ -241,8 +241,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
-    return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
+    masks = ("solver", *depth, "scorer", "outlines")
+    return masks if all("masks" in view.files for view in recording.views) else (*masks, "pictures")
 
 
 def _track(
