@@ -24,7 +24,6 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import search, stream
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.run import track_source
 from hypose.pipeline.subject import (
     AnthropometryOptions,
     SubjectEstimate,
@@ -32,6 +31,7 @@ from hypose.pipeline.subject import (
     estimate_subject,
     first_start,
 )
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene

@@ -60,9 +60,9 @@ from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
-from hypose.pipeline.run import PeopleResult, TrackResult, track_people
+from hypose.pipeline.run import PeopleResult, TrackResult
 from hypose.pipeline.subject import SubjectOptions, load_subject, subject_file
-from hypose.pipeline.track import chosen_people, keypoint_people, track_person, wanted_of
+from hypose.pipeline.track import chosen_people, keypoint_people, track_people, track_person, wanted_of
 from hypose.pipeline.track_management import KnownPerson, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.recipes import citation_of

@@ -32,7 +32,7 @@ from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, VideoWriter
-from hypose.pipeline.track_loop import FrameSource
+from hypose.pipeline.sources import FrameSource
 
 # BGR; also different for people with red-green colour blindness
 _LEFT, _RIGHT, _MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
