@@ -545,8 +545,8 @@ class LiveFuser:
 
     settings: settings of the output instants.
 
-    Call `push` for every report as it arrives, and `poll` at the time `aligner.due()` or more often. All times are s of one
-    monotonic host clock.
+    Call `push` for every report as it arrives, and `poll` at the time `aligner.due()` or more often. All times are s of
+    one monotonic host clock.
     """
 
     def __init__(self, settings: AlignSettings | None = None) -> None:
