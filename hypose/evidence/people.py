@@ -196,7 +196,7 @@ def _own_mask(
         ignored = np.zeros_like(mask)
         for one in near:
             _hide(ignored, one.shape, c, one.widened, part)
-        area = np.count_nonzero(own.drawn(c))
+        area = int(np.count_nonzero(own.drawn(c)))
     known = mask[at] if ignored is None else mask[at] > ignored[at]
     box = part if anywhere and y1 <= y0 else own.boxes[c]
     return mask, ignored, box, area, "" if known.any() else "no part of the person is visible"
@@ -667,7 +667,7 @@ def _own_pixels(
     body[whole & ~taken & (cv2.dilate(body, _EDGE) > 0)] = 1
     rim = cv2.dilate((taken & (seen < last)).astype(np.uint8), _EDGE) > 0
     ignored = ((rim | (whole & (seen < last))) & (body == 0)).astype(np.uint8)
-    area = max(np.count_nonzero(own.drawn(c)), np.count_nonzero(body))
+    area = int(max(np.count_nonzero(own.drawn(c)), np.count_nonzero(body)))
     if box[1] <= box[0]:
         x, y, w, h = cv2.boundingRect(body)
         box = (y, y + h, x, x + w)
