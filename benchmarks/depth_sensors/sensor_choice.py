@@ -66,7 +66,7 @@ def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
             memory,
             recording.positions[t],
             recording.state[t],
-            recording.joint_depth[t],
+            [recording.joint_depth[t]],
             np.full(sensors, recording.times[t]),
             settings.confidence,
         )

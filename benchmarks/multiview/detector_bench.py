@@ -84,7 +84,7 @@ def detector(options: BenchOptions) -> BenchReport:
 
 def bare(recording: Recording, folder: Path) -> Recording:
     """The recording with nothing but its videos and cameras, written to a folder."""
-    views = tuple(replace(v, background=None, keypoints=None, masks=None) for v in recording.views)
+    views = tuple(v.without("background", "keypoints", "masks") for v in recording.views)
     write_recording(replace(recording, views=views, keypoint_set=None, keypoint_lag=0), folder)
     return load_recording(folder)
 

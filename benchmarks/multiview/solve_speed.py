@@ -104,7 +104,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
     rows: list[Row] = []
-    with FrameStream(balancing_recording(folder), FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(balancing_recording(folder), FrameSettings(masks=False)) as stream:
         rate = stream.recording.frame_rate
         chosen = SubjectOptions("keypoints", frame_rate=rate, girths=False)
         subject = find_subject(stream.frame, len(stream), chosen)

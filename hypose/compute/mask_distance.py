@@ -46,5 +46,9 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
 
 
 def _distance(mask: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Compute the distance of each set pixel of a mask (h, w) to the nearest one that is not set, px."""
-    return np.asarray(cv2.distanceTransform(np.ascontiguousarray(mask), cv2.DIST_L2, 5), dtype=np.float32)
+    """Compute the distance of each set pixel of a mask (h, w) to the nearest one that is not set, in fifths of a pixel.
+
+    OpenCV's steps are 1, 1.4 and 2.1969 px; rounded to fifths, near the edge they are those of Borgefors (5, 7 and 11).
+    """
+    distance = cv2.distanceTransform(np.ascontiguousarray(mask), cv2.DIST_L2, 5)
+    return np.float32(0.2) * np.rint(np.float32(5) * distance)

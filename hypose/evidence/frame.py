@@ -188,6 +188,11 @@ class SensorJoints:
         if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
             raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
 
+    @property
+    def measured_depth(self) -> list[Array]:
+        """Depth of the sensors' depth maps at the joints: one array (K, J), m, 0 = hole; none without depth maps."""
+        return [] if self.joint_depth is None else [self.joint_depth]
+
 
 def clean_joints(
     positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
@@ -228,6 +233,15 @@ class Picture:
     image: NDArray[np.uint8]
     before: NDArray[np.uint8] | None = None
     mask: NDArray[np.uint8] | None = None
+
+    @property
+    def silhouettes(self) -> list[Silhouettes]:
+        """The mask as silhouettes of one view: one element, or none where the mask is not known."""
+        if self.mask is None:
+            return []
+        return [
+            Silhouettes((self.mask != 0).astype(np.uint8)[None], CameraRig((self.camera,)), np.ones(1, bool), ("",))
+        ]
 
 
 @dataclass(frozen=True)
@@ -284,6 +298,10 @@ class Frame:
         raise EvidenceError(
             f"Frame {self.index} carries no {kind.__name__}; choose an evidence that the recording has."
         )
+
+    def without(self, *kinds: type) -> Frame:
+        """Copy the frame and leave out its pieces of evidence of some classes."""
+        return replace(self, **{name: None for name, piece in self.pieces.items() if isinstance(piece, kinds)})
 
     def unseen(self) -> Frame:
         """Copy the frame and mark its masks, key points and depth maps as not usable, for a person who is not there."""

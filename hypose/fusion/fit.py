@@ -267,10 +267,7 @@ def fit_step(
         away = np.minimum(time - state.seen, 1.0)
         predicted = start + state.velocity * (dt * np.where(evidence, 1.0, np.exp(-10 * away)))[:, None]
         prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * away)) ** 2
-    x = predicted.copy()
-    share = np.zeros(weights.shape)
-    variance = np.zeros(15)
-    fusion.fit_frame(
+    x, share, variance = fusion.fit_frame(
         points,
         weights,
         predicted,
@@ -282,9 +279,6 @@ def fit_step(
         settings.scale_m,
         settings.coarse,
         settings.iterations,
-        x,
-        share,
-        variance,
     )
     seen = np.where(evidence, time, state.seen)
     if state.joints is None:

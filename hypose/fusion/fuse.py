@@ -196,7 +196,7 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     sensors = world.shape[1]
     swarm, memory = start_swarm(sensors), start_confidence(sensors, s.confidence)
     for frame, registered in zip(raw, world, strict=True):
-        seen = frame.positions, frame.state, frame.joint_depth, frame.times
+        seen = frame.positions, frame.state, frame.measured_depth, frame.times
         memory, inputs = confidence_step(memory, *seen, s.confidence)
         noise = s.rules.noise(*normalised(inputs, s.confidence))
         swarm, estimate = swarm_step(swarm, registered, noise, 0.0, s, seed)

@@ -16,6 +16,7 @@ because it ends on one sensor and keeps that sensor's bias.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -126,7 +127,7 @@ def confidence_step(
     memory: ConfidenceState,
     positions: Array,
     state: NDArray[np.uint8],
-    depth: Array | None,
+    depth: Sequence[Array],
     times: Array,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
@@ -136,7 +137,7 @@ def confidence_step(
     memory: memory of the frames before.
     positions: (K, 15, 3) m in the sensors' frames.
     state: (K, 15) joint states.
-    depth: (K, 15) m, depth map at the joints' pixels, 0 = hole; None: no depth maps.
+    depth: one array (K, 15) m, depth map at the joints' pixels, 0 = hole; none without depth maps.
     times: (K,) s of the reports.
     settings: settings of the measures.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
@@ -151,8 +152,8 @@ def confidence_step(
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
     off, held = np.zeros(state.shape), memory.held
     lengths, samples = memory.lengths, memory.samples
-    if depth is not None:
-        off, held = depth_error(positions[..., 2], depth, held, settings)
+    for measured in depth:
+        off, held = depth_error(positions[..., 2], measured, held, settings)
     if settings.merge_bones:
         # how far each sensor's bones deviate from their usual lengths
         lengths, samples, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)

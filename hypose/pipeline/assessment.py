@@ -157,10 +157,12 @@ class Assessment:
         Returns: table of `document` with "low_confidence": for each joint that has such frames, pairs (first row, row
             after the last).
         """
-        joints = motion.low_confidence_joints
-        names = motion.skeleton.joint_names
-        found = {} if joints is None else {n: runs(joints[:, j]) for j, n in enumerate(names) if joints[:, j].any()}
-        return {**self.document(), "low_confidence": {n: [[r.start, r.stop] for r in f] for n, f in found.items()}}
+        found = {}
+        if motion.low_confidence_joints is not None:
+            for name, low in zip(motion.skeleton.joint_names, motion.low_confidence_joints.T, strict=True):
+                if low.any():
+                    found[name] = [[r.start, r.stop] for r in runs(low)]
+        return {**self.document(), "low_confidence": found}
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Assessment:

@@ -114,17 +114,17 @@ def _imported(
         camera, seen = _written(source, folder / "read" / name, frame_rate, millimetres)
         if Path(source).is_dir() and frame_rate is None:
             notes.append(f"{name}: a folder of maps does not tell its frame rate; {FOLDER_RATE:g} per s are taken.")
-        room = None
+        files = {"depth": folder / "depth" / name}
         if empty:
-            room = folder / "background" / name
-            lens, _ = _written(empty[n], room, frame_rate, millimetres)
+            files["background"] = folder / "background" / name
+            lens, _ = _written(empty[n], files["background"], frame_rate, millimetres)
             if lens.size != camera.size:
                 raise InputError(
                     f"{empty[n]} has maps of {lens.size[0]} x {lens.size[1]} px, {source} of {camera.size[0]} x "
                     f"{camera.size[1]} px; record both in the same mode."
                 )
-        floor = _on_floor(source, room or folder / "read" / name, camera)
-        views.append(ViewSettings(name, depth=folder / "depth" / name, background=room))
+        floor = _on_floor(source, files.get("background", folder / "read" / name), camera)
+        views.append(ViewSettings(name, files))
         cameras.append(replace(camera, name=name, camera_from_world=floor))
         notes.append(f"{name}: {cameras[-1].position[2]:.2f} m above the floor.")
         times.append(seen)
@@ -207,7 +207,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     """Estimate camera_from_world (4, 4) from the floor in the median of the camera's first maps; an error names the
     source.
     """
-    maps = DepthSource(ViewSettings(camera.name, depth=folder), camera, camera.pinhole())
+    maps = DepthSource(ViewSettings(camera.name, {"depth": folder}), camera, camera.pinhole())
     calm = learn_background([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))]).depth
     try:
         found = camera_on_floor(calm, camera)
@@ -257,7 +257,7 @@ def _moved(
 
 
 def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate: float) -> Recording:
-    count = min(len(list_images(v.depth)) for v in views if v.depth is not None)
+    count = min(len(list_images(v.files["depth"])) for v in views)
     name = text_of(folder.resolve().name)
     return Recording(folder, name, rig, tuple(views), rate, None, keypoint_set=None, n_frames=count)
 
@@ -287,8 +287,7 @@ def _clip(recording: Recording) -> list[Frame]:
 
 def _without_first(view: ViewSettings, count: int) -> None:
     """Remove the first `count` maps of a view, so that all views begin at the same instant."""
-    assert view.depth is not None
-    files = list_images(view.depth)
+    files = list_images(view.files["depth"])
     if count >= len(files):
         raise InputError(f"{view.name} ended before the others began; start all cameras together.")
     for file in files[:count]:

@@ -62,7 +62,7 @@ def check_inputs(
 def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     """Check the depth maps alone, also of frames with several people."""
     with contextlib.suppress(HyposeError):
-        if source.frame(0).depth is None:  # frames spread over videos take long to read
+        if not source.frame(0).of(Depth):  # frames spread over videos take long to read
             return ()
     return depth_findings(pieces_of(_some(source), Depth))
 

@@ -533,14 +533,14 @@ def judge_joints(clip: ClipState) -> ClipState:
             audit=np.stack([e.audit for e in estimates]),
             covariance=pose_covariance(unpacked(information, clip.who.body.skeleton.dof)),
         )
-        depth = clip.source.frame(0).depth is not None
+        depth = clip.source.frame(0).kind == "depth"
         silhouettes = clip.options.looks_at == "silhouettes"
-        points = None if silhouettes else getattr(clip.source, "keypoints", None)  # where they are in memory
+        points = () if silhouettes else getattr(clip.source, "keypoints", ())  # where they are in memory
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
     # of an interrupted run, the key points of its frames
-    motion = _with_errors(clip, "depth" if depth else None, points and points[: len(clip.audit)])
+    motion = _with_errors(clip, "depth" if depth else None, points[: len(clip.audit)])
     found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
     return replace(clip, motion=motion).with_findings(*found)
 
@@ -557,16 +557,16 @@ def _assess_picture(clip: ClipState) -> ClipState:
     return replace(clip, motion=motion).with_findings(*found)
 
 
-def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:
+def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None]) -> Motion:
     """Add to the motion the error probability of each joint, and standard deviations that also cover wrong joints.
 
     known: kind of evidence, where the audit does not show it.
-    points: key points of the frames; None where they are not in memory.
+    points: key points of the frames; empty where they are not in memory.
     """
     motion, subject, audit, covariance = clip.motion, clip.who, clip.audit, clip.covariance
     assert motion is not None and audit is not None and covariance is not None and clip.one_by_one is not None
     evidence = known or evidence_of(audit)
-    if points is not None and subject.keypoints is not None and any(k is not None for k in points):
+    if subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
         lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))

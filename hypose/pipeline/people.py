@@ -325,7 +325,7 @@ class PeopleFinder:
         named, numbers = range(last, min(named + 1, len(self.source)), self._look_every), self._fit_numbers(0)
         paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
         if not paths:
-            if self.source.frame(0).depth is not None:
+            if self.source.frame(0).kind == "depth":
                 raise EvidenceError(
                     "No person stands before the depth cameras at the beginning; begin with --frames where people are "
                     "seen, and record the empty room again if it has changed."

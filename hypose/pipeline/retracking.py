@@ -397,7 +397,7 @@ def _looked_back(
     with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
         for t, (frame, last) in zip(most, with_last(coming), strict=False):
             prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-            if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
+            if not prepared.silhouettes.seen or frame.kind == "depth" or not _known(old[t]):
                 break
             state, back = tracker.step(state, frame)
             if not _known(back):

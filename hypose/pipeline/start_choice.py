@@ -51,7 +51,7 @@ def no_two_views(frame: Frame) -> str:
     """
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
-    if frame.depth is not None:
+    if frame.kind == "depth":
         return (
             f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where a person stands "
             "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."

@@ -508,12 +508,10 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
     template = options.body or human()
     sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
     first = frame_at(0)
-    by_points = options.start == "keypoints" or (options.start == "auto" and first.keypoints is not None)
-    if by_points:
-        if first.keypoints is None:
-            raise InputError(
-                "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
-            )
+    points = first.of(Keypoints)
+    if options.start == "keypoints" and not points:
+        raise InputError("The start 'keypoints' needs key points, and this recording has none; use the start 'hull'.")
+    if points and options.start in ("keypoints", "auto"):
         return _by_points(template, frame_at, sampled, n_frames, options)
     poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
     if options.known:

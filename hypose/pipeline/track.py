@@ -15,7 +15,6 @@ from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
-from hypose.evidence.keypoints import keypoint_names
 from hypose.inference.layer import Recipe
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
@@ -199,9 +198,9 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     none.
     """
     found = load_person(recording, small)
-    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+    if not found.one.by_rays:
         return None
-    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+    return KeypointPeople(found.one.people, found.names, small)
 
 
 def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:

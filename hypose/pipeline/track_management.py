@@ -16,7 +16,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.people import FEWEST_VIEWS, HullPerson, Other, own_frame, people_seen, without
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -88,7 +88,7 @@ def follow_places(
     paths: list[Path] = []
     for t in numbers:
         frame = frame_at(t)
-        if frame.silhouettes is None:
+        if not frame.of(Silhouettes):
             continue
         others = known(t)
         here = [h for h in people_seen(frame, others) if h.tall or not others]
@@ -281,7 +281,7 @@ def update_appearance(
     """
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
-        if frame.colours is None or p not in there:
+        if not frame.of(Colours) or p not in there:
             continue
         w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
         for q in near:

@@ -97,15 +97,15 @@ def write_scene(
             (video, scene.rgb_frames(c)),
         ):
             _write_video(path, scene.frame_rate, size, pictures, step)
-        pose = None
+        files = {"video": video, "background": background}
         if keypoints:
-            pose = folder / "pose" / f"{name}_json"
+            files["keypoints"] = pose = folder / "pose" / f"{name}_json"
             pose.mkdir(parents=True, exist_ok=True)
             points = keypoint_detections(scene, c)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
                 write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
-        views.append(ViewSettings(camera.name, video=video, background=background, keypoints=pose))
+        views.append(ViewSettings(camera.name, files))
     recording = Recording(
         folder,
         scene.name,
@@ -189,7 +189,7 @@ def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress
             for t in range(count):
                 write_depth_png(target / f"{t:06d}.png", make(c, t))
                 step()
-        views.append(ViewSettings(camera.name, depth=depth, background=empty))
+        views.append(ViewSettings(camera.name, {"depth": depth, "background": empty}))
     recording = Recording(
         folder, scene.name, scene.rig, tuple(views), scene.frame_rate, None, keypoint_set=None, n_frames=len(scene)
     )

@@ -165,7 +165,7 @@ def hpf(
     body: Body,
     particles: int = 572,
     survival: float = 0.05,
-    nu: float = 0.8,
+    nu: float = 0.7,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
 ) -> Recipe:
@@ -286,7 +286,7 @@ def hpf_apo(
     body: Body,
     particles: int = 500,
     survival: float = 0.10,
-    nu: float = 0.8,
+    nu: float = 0.7,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
 ) -> Recipe:
@@ -323,7 +323,7 @@ def dd_hpf(
     body: Body,
     particles: int = 500,
     survival: float = 0.05,
-    nu: float = 0.8,
+    nu: float = 0.7,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,

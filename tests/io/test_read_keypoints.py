@@ -251,7 +251,7 @@ def test_recordings_of_other_programs(shared_data, name, words):
     assert any(words in n for n in recording.notes) and found.shape[:2] == (4, 60)
     assert (found[..., 2] > 0.3).mean() > 0.5
     if name == "pose_sync":
-        assert all(v.keypoints.parent.name == "pose-sync" for v in recording.views)
+        assert all(v.files["keypoints"].parent.name == "pose-sync" for v in recording.views)
 
 
 def test_openpose_1_0_is_read():

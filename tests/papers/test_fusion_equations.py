@@ -114,7 +114,7 @@ def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
     for t in range(1, 23):
         speeds.append(np.linalg.norm(positions[t] - positions[t - 1], axis=-1) / (times[t] - times[t - 1])[:, None])
     for t in range(23):
-        memory, raw = confidence_step(memory, positions[t], state, None, times[t], settings)
+        memory, raw = confidence_step(memory, positions[t], state, (), times[t], settings)
         activations.append(sum(speeds[max(0, t - 4) : t + 1]))
         expected = np.sqrt(np.mean((activations[-5:] - np.mean(activations[-5:], axis=0)) ** 2, axis=0))
         np.testing.assert_allclose(raw[0], expected, atol=1e-9)

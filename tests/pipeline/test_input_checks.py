@@ -163,7 +163,7 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
     from hypose.io.recordings.frames import FrameSettings, FrameStream
     from hypose.io.recordings.recording import load_recording
 
-    with FrameStream(load_recording(BALANCING), FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(load_recording(BALANCING), FrameSettings(masks=False)) as stream:
         real = [stream.frame(i) for i in range(len(stream))]
     assert kinds(real) == []
     found = check_inputs(

@@ -213,10 +213,10 @@ def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, 
     if few.keypoint_set is None:
         kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
         found = detected(kept, few.frames, yes=yes, why="--from-person")
-        views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
+        views = tuple(replace(v, files={**v.files, "keypoints": found.view(v.name)}) for v in few.views)
         few = replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
     names = keypoint_names(str(few.keypoint_set))
-    people = candidates_of(few, few.rig) or []
+    people = candidates_of(few, few.rig)
     points = np.zeros((len(few.views), len(few.frames), len(names), 3))
     for c, view in enumerate(points):
         for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):

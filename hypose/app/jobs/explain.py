@@ -78,7 +78,7 @@ def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, jo
     lines = [said]
     with contextlib.suppress(HyposeError):  # without the recording there is less to say
         if (recording := find_recording(folder)) is not None and motion.poses is not None:
-            with FrameStream(recording, FrameSettings(silhouettes=None)) as stream:
+            with FrameStream(recording, FrameSettings(masks=False)) as stream:
                 points = stream.frame(frame - recording.frames.start).keypoints
             if points is not None and joint in points.names:
                 k = points.names.index(joint)

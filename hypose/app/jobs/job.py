@@ -242,7 +242,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
         return ("solver", *depth)
     # a given body is not fitted to outlines
     masks = ("solver", *depth, "scorer", "outlines")
-    return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
+    return masks if all("masks" in view.files for view in recording.views) else (*masks, "pictures")
 
 
 def _track(

@@ -59,7 +59,7 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     recording = replace(recording, frame_range=(frames.start, frames.stop))
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
-    with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(recording, None if masks else FrameSettings(masks=False)) as stream:
         return write_overlay("", recording, stream, [Shown("", motion, body)], wanted)
 
 

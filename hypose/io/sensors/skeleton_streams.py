@@ -188,15 +188,17 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     positions = np.full((t, people, j, 3), np.nan)
     state = np.zeros((t, people, j), dtype=np.uint8)
     ids = np.full((t, people), -1, dtype=np.int64)
-    depth = np.zeros((t, people, j)) if rows.joint_depth else None
+    depth = np.zeros((t, people, j))
     for n, (bodies, column) in enumerate(zip(present, columns, strict=True)):
         for person, i in bodies.items():
             c = column[person]
             positions[n, c], state[n, c], ids[n, c] = rows.positions[i], rows.state[i], person
-            if depth is not None:
+            if rows.joint_depth:
                 depth[n, c] = rows.joint_depth[i]
     positions, state = clean_joints(positions, state, f"{where}, sensor {rows.name}", rows.joint_names)
-    return SensorStream(rows.name, instants, positions, state, ids, rows.joint_names, depth), tuple(notes)
+    return SensorStream(
+        rows.name, instants, positions, state, ids, rows.joint_names, depth if rows.joint_depth else None
+    ), tuple(notes)
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:

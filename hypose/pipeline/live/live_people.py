@@ -555,7 +555,7 @@ class LiveErrorModel:
             low_confidence = np.ones(count, np.bool_)
         now = with_fitted_joints(now, frame.kind, self._beyond)
         now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
-        return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
+        return now if frame.kind == "depth" else as_mixture(now)  # regions from depth include other places
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
         """Compute features of the frame, if that is due, and error probabilities from those of the last seconds.

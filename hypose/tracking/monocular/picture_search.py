@@ -109,7 +109,7 @@ class PictureSearch:
     def mirror_now(self, h: Hypotheses, frame: PreparedFrame, /) -> bool:
         """Decide whether mirrored limbs are tried in this frame."""
         search = self.settings.search
-        wanted = frame.frame.keypoints is not None if search.flips is None else search.flips
+        wanted = bool(frame.frame.of(Keypoints)) if search.flips is None else search.flips
         return wanted and frame.done % search.flip_every == 0
 
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:

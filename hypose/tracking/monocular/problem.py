@@ -6,6 +6,7 @@ from the trunk and from each other.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, Landmarks
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.cameras.camera import Camera
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
 from hypose.compute.solver import bounded_step
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow, edge_field
-from hypose.evidence.frame import Frame, Picture, Silhouettes
+from hypose.evidence.frame import Frame, Picture
 from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
@@ -58,7 +59,7 @@ def checked_picture(frame: Frame) -> Picture:
     picture = frame.picture
     if picture is None:
         raise InputError(f"Frame {frame.index} has no picture, which tracking with one camera needs; give its video.")
-    (w, h), image, mask = picture.camera.size, picture.image, picture.mask
+    (w, h), image = picture.camera.size, picture.image
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
             f"Frame {frame.index}: a picture must be (h, w, 3) uint8, got {image.shape} {image.dtype}; convert it to "
@@ -69,7 +70,8 @@ def checked_picture(frame: Frame) -> Picture:
             f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {picture.camera.name} {w} x {h}; "
             "resize the picture or use camera.scaled((width, height))."
         )
-    if mask is not None:
+    for silhouettes in picture.silhouettes:
+        mask = silhouettes.masks[0]
         if mask.shape != (h, w):
             raise InputError(
                 f"Frame {frame.index}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the picture {w} x {h}; resize "
@@ -92,14 +94,10 @@ def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | Non
 
     settings: settings of the cost; with mask weight 0 the term is left out.
     """
-    if picture.mask is None or settings.mask_weight <= 0:
-        return None
-    mask = (picture.mask != 0).astype(np.uint8)[None]
-    seen = Silhouettes(mask, CameraRig((picture.camera,)), np.ones(1, np.bool_), ("",))
-    try:
-        return contour_term(seen, settings.mask_weight)
-    except EvidenceError:  # foreground from border to border
-        return None
+    for silhouettes in picture.silhouettes if settings.mask_weight > 0 else ():
+        with contextlib.suppress(EvidenceError):  # foreground from border to border
+            return contour_term(silhouettes, settings.mask_weight)
+    return None
 
 
 def moving_edges(field: NDArray[np.float32], flow: Flow | None, floor: float) -> NDArray[np.float32]:

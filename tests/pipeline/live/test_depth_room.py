@@ -92,7 +92,7 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
         capture.close()
     assert recorder.close()
     recording = load_recording(tmp_path / "live")
-    room = recording.views[0].background
+    room = recording.views[0].files["background"]
     assert room is not None and len(list(room.glob("*.png"))) >= 3
     masks = [f.silhouettes.masks[0] for f in FrameStream(recording) if f.silhouettes is not None]
     assert max(m.sum() for m in masks) > 0.9 * (someone < 3).sum()
