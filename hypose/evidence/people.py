@@ -1,9 +1,9 @@
-"""Find people in front of depth cameras: clusters of the points that all sensors measure, and whose pixels are whose.
+"""Find people in the visual hull or in depth maps, and extract the evidence for one of several people.
 
 A measured pixel is a place in the world, so it belongs to the nearest body or cluster: people need not be separated in
 the picture. Pixels of others in front give no information on a person, who may be hidden behind them; pixels of others
 behind show that the person is not in front of them.
-The module also gives the space that a person seen by depth cameras may fill: the seen surface and what lies behind it.
+The module also gives the space that a person may fill.
 """
 
 from __future__ import annotations
@@ -475,6 +475,7 @@ def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     return Hull(part, hull.origin + low * hull.voxel, hull.voxel)
 
 
+# ---- people in depth maps, and the evidence of each ----------------------------------------------------------------
 _THICK_M, _VOXEL_M = 0.16, 0.03
 _AROUND = np.ones((3, 3), np.uint8)
 

@@ -1,4 +1,4 @@
-"""Match the skeletons of all sensors to persons, and register the sensors by the persons that they share.
+"""Match the skeletons of all sensors to persons, register the sensors by the persons that they share, and fuse live.
 
 Persons are matched by the distance of their trunks in the common frame. The common frame is that of the first sensor
 that saw a person, and stays so when that sensor dies. A sensor that comes back is registered again, since it may have

@@ -1,4 +1,4 @@
-"""Marker files (TRC), OpenSim motions (.mot) and tables for spreadsheets (CSV).
+"""Marker files (TRC, C3D), OpenSim motions (.mot) and tables for spreadsheets (CSV).
 
 TRC files are tab-separated text with Y up, as OpenSim and Pose2Sim use them. Axes: TRC (x, y, z) = world (y, z, x), the
 rotation of Pose2Sim between its z-up calibration and OpenSim's Y-up ground. A marker that was not seen is three empty
