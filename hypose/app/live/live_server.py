@@ -194,7 +194,7 @@ class LiveServer:
             self._send(frame, self.now())
         if self._timer is not None:
             self._timer.cancel()
-        due, now = self.fuser.due(), self.now()
+        due, now = self.fuser.aligner.due(), self.now()
         self._timer = asyncio.get_running_loop().call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
@@ -234,7 +234,7 @@ class LiveServer:
                 "residual": _number(residuals.get(s.name, math.nan)),
                 "place": places[s.name].round(4).tolist() if s.name in places else None,
             }
-            for s in self.fuser.status(now)
+            for s in self.fuser.aligner.status(now)
         ]
         counts = {
             "received": self.received,
@@ -338,5 +338,5 @@ def _say_where(server: LiveServer, say: _Say) -> None:
 def _summary(server: LiveServer) -> str:
     ordered = sorted(server.latencies)
     p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
-    alive = sum(s.alive for s in server.fuser.status(server.now()))
+    alive = sum(s.alive for s in server.fuser.aligner.status(server.now()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."
