@@ -193,6 +193,18 @@ def parse_openpose(
     return np.stack(people) if people else np.zeros((0, k, 3))
 
 
+def openpose_document(people: ArrayLike) -> dict[str, Any]:
+    """Convert people (P, K, 3), px and confidence, to OpenPose's JSON document; people without a confident point are
+    left out.
+    """
+    seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
+    return {
+        "version": 1.3,
+        "program": "hypose",
+        "people": [{"person_id": [-1], "pose_keypoints_2d": np.round(p, 3).ravel().tolist()} for p in seen],
+    }
+
+
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
     """Convert one person's detected points to Keypoints in undistorted pixels of the working-size cameras.
 

@@ -1,8 +1,9 @@
 """Extract the evidence for one person from masks that show several people.
 
 Pixels that another person's body covers say nothing about this person: they are in the mask, no matter which of the two
-is in front. In views without other people nearby, the masks are cut to where the person is expected, and all pixels
-count.
+is in front. Where it is known whom each pixel shows (`Silhouettes.owners`), pixels of two people are those of the
+nearer one by the bodies' depth, and those of the farther one alone are background for the nearer one. In views without
+other people nearby, the masks are cut to where the person is expected, and all pixels count.
 """
 
 from __future__ import annotations
@@ -63,6 +64,10 @@ class BodyShape:
         low, high = (np.clip(np.nan_to_num(n), 0, size).astype(np.int64) for n in (low, high))
         out = np.stack([low[:, 1], high[:, 1], low[:, 0], high[:, 0]], 1)
         return np.where((high > low).all(1)[:, None], out, 0)
+
+    def depth(self, view: int) -> float:
+        """Median depth of the vertices in a view, m."""
+        return float(np.median(self._projected[1][view]))
 
     @cached_property
     def _kept(self) -> dict[int, NDArray[np.uint8]]:
@@ -196,8 +201,15 @@ def own_silhouettes(
         near = [o for o in others if _meet(o, c, part)]
         if near:
             ignored = np.zeros_like(masks) if ignored is None else ignored
+            mine = _owned(silhouettes, own, c)
             for one in near:
-                _hide(ignored[c], one.shape, c, one.widened, part)
+                theirs = _owned(silhouettes, one.shape, c)
+                if silhouettes.owners is None or not mine or not theirs or mine == theirs:
+                    _hide(ignored[c], one.shape, c, one.widened, part)
+                elif own.depth(c) < one.shape.depth(c):
+                    masks[at] &= (silhouettes.owners[at] & (mine | theirs) != theirs).view(np.uint8)
+                else:
+                    ignored[at] |= (silhouettes.owners[at] & theirs > 0).view(np.uint8)
             areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part
@@ -206,6 +218,22 @@ def own_silhouettes(
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: no part of the person is visible"
     expected = None if ignored is None else Expected(boxes, areas)
     return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)
+
+
+def _owned(silhouettes: Silhouettes, shape: StandingShape, view: int) -> int:
+    """Find the bit of `Silhouettes.owners` whose pixels overlap most with a person's body in a view; 0 where it is not
+    known.
+    """
+    if silhouettes.owners is None or not isinstance(shape, BodyShape):
+        return 0
+    y0, y1, x0, x1 = shape.boxes[view].tolist()
+    drawn, owners = shape.drawn(view) > 0, silhouettes.owners[view]
+    best, most = 0, 0.0
+    for bit in (1, 2, 4, 8):
+        both = np.count_nonzero(drawn & (owners[y0:y1, x0:x1] & bit > 0))
+        share = both / max(np.count_nonzero(drawn) + np.count_nonzero(owners & bit) - both, 1)
+        best, most = (bit, share) if share > most else (best, most)
+    return best
 
 
 def _meet(other: Other, view: int, part: Sequence[int]) -> bool:

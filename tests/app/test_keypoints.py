@@ -214,4 +214,4 @@ def test_wrong_answers_are_named(tmp_path, answer):
     )
     detector = open_own_detector(f"{tmp_path}/mine.py:D")
     with pytest.raises(InputError, match=r"answers with .*; its set COCO_17 needs people x 17 x 3"):
-        detector.detect(np.zeros((4, 4, 3), np.uint8))
+        detector.look(np.zeros((4, 4, 3), np.uint8))

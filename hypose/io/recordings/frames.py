@@ -508,6 +508,12 @@ class FrameStream:
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
             why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
             silhouettes = make_silhouettes(masks, self.rig, why)
+            if self.options.people:
+                owners = np.zeros_like(silhouettes.masks)
+                for c, source in enumerate(self._sources):
+                    found = source.owners(number)
+                    owners[c, : found.shape[0], : found.shape[1]] = found
+                silhouettes = replace(silhouettes, owners=owners)
             make_ahead(silhouettes, pending.outlines)
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
