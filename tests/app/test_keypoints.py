@@ -114,7 +114,7 @@ def test_bad_folders_of_key_points_are_told_in_a_sentence(hypose, prepared, tmp_
     (recording / "keypoints").mkdir()
     (recording / "keypoints" / "detector.json").write_text("{")
     fails(hypose("track", recording), "is damaged")
-    (recording / "keypoints" / "detector.json").write_text(json.dumps({"keypoint_set": "X", "complete": True}))
+    (recording / "keypoints" / "detector.json").write_text(json.dumps({"keypoint_set": "X", "complete": True, "frames": [0, 5]}))
     fails(hypose("track", recording, "--evidence", "keypoints"), "has none")  # no view has a folder there
 
 
