@@ -130,11 +130,6 @@ class GestureRecording:
             raise InputError(f"{self.folder} has no gesture {name!r}; it has {', '.join(self.gestures)}.")
         return self.gestures.index(name) + 1
 
-    @property
-    def content(self) -> str:
-        """Identity of the session, see `content_of`."""
-        return content_of(self.folder)
-
     def learned(self) -> list[RecordedFrame]:
         """Return the frames of learning segments that were not taken back."""
         return [f for f in self.frames if f.phase in ("positive", "negative") and f.segment not in self.undone]
@@ -148,11 +143,6 @@ class GestureRecording:
                 yield Example(depth, self.lens, 1, f.x, f.y)
             else:
                 yield Example(depth, self.lens)
-
-    def pictures(self) -> Iterator[tuple[RecordedFrame, DepthImage]]:
-        """Yield every frame with its picture."""
-        for f in self.frames:
-            yield f, self.picture(f)
 
     def picture(self, frame: RecordedFrame) -> DepthImage:
         """Read a frame's picture (h, w), uint16 mm.

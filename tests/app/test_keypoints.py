@@ -14,8 +14,9 @@ from benchmarks.robustness.keypoint_layouts import (
 )
 from hypose.body.default_body import human
 from hypose.errors import InputError
-from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25, parse_openpose
+from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25
 from hypose.io.keypoints.detectors import OwnDetector, open_own_detector
+from hypose.io.keypoints.keypoint_files import parse_openpose
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.frames import load_keypoints
@@ -44,7 +45,7 @@ class Detector:
 
 
 def as_blazepose(path):
-    people = parse_openpose(path.read_bytes(), BODY_25)
+    people = parse_openpose(path.read_bytes())
     out = np.zeros((len(people), 33, 3))
     for k, name in enumerate(BLAZEPOSE_33):
         if name in BODY_25:
@@ -114,7 +115,8 @@ def test_bad_folders_of_key_points_are_told_in_a_sentence(hypose, prepared, tmp_
     (recording / "keypoints").mkdir()
     (recording / "keypoints" / "detector.json").write_text("{")
     fails(hypose("track", recording), "is damaged")
-    (recording / "keypoints" / "detector.json").write_text(json.dumps({"keypoint_set": "X", "complete": True, "frames": [0, 5]}))
+    said = {"keypoint_set": "X", "complete": True, "frames": [0, 5]}
+    (recording / "keypoints" / "detector.json").write_text(json.dumps(said))
     fails(hypose("track", recording, "--evidence", "keypoints"), "has none")  # no view has a folder there
 
 

@@ -24,10 +24,9 @@ from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.assessment import GOOD, UNTRUSTED
+from hypose.pipeline.assessment import GOOD, UNTRUSTED, trace_of
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.trace import trace_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
@@ -60,7 +59,7 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     recording = replace(recording, frame_range=(frames.start, frames.stop))
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
-    with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(recording, None if masks else FrameSettings(masks=False)) as stream:
         return write_overlay("", recording, stream, [Shown("", motion, body)], wanted)
 
 

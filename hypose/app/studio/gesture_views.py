@@ -17,8 +17,7 @@ from hypose.errors import HyposeError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.io.files import read_bytes, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording
-from hypose.synthetic.gesture_people import load_people
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES, load_people
 
 _MOST_BYTES = 64 << 20
 """Largest frames.csv of a session that is read, bytes."""

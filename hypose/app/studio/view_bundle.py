@@ -131,7 +131,7 @@ class ViewResult:
 
 def pictured(recording: Recording) -> list[str]:
     """Return the names of the cameras that have pictures, or masks in their place."""
-    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.source or v.masks]
+    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.has_pictures]
 
 
 def view_bundle(result: ViewResult) -> bytearray:
@@ -185,9 +185,8 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
-        if result.truth.joints is not None:
-            out["truth_joints"] = result.truth.joints.astype("<f4")
-        out["truth_distances"] = result.truth.distances.astype("<f4")
+        truth = {"truth_joints": result.truth.joints, "truth_distances": result.truth.distances}
+        out |= {name: values.astype("<f4") for name, values in truth.items() if values is not None}
     return out
 
 
@@ -410,7 +409,7 @@ def in_recording(recording: Recording | None, motion: Motion, body: Body | None,
         return ViewResult(motion=motion, body=body, **more)
     shifts = [v.image_shift for v in recording.views]
     cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording), "date": ""}
-    files = [v.source or v.masks or v.depth or v.keypoints for v in recording.views]
+    files = [v.source or v.files.get("masks") or v.files["keypoints"] for v in recording.views]
     with contextlib.suppress(OSError, StopIteration):
         cameras["date"] = time.strftime("%Y-%m-%d", time.localtime(next(filter(None, files)).stat().st_mtime))
     return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})

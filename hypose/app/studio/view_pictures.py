@@ -41,7 +41,7 @@ class AnyFrame:
     """Frames of one view in any order; a folder of images is read directly."""
 
     def __init__(self, view: ViewSettings) -> None:
-        source = view.source or view.masks
+        source = view.source or view.files.get("masks")
         assert source is not None
         self._reader: VideoReader | ObjectMasks = open_pictures(view)
         self._jumps: cv2.VideoCapture | None = None
@@ -130,7 +130,7 @@ class OpenRecording:
         Returns: (h, w, 3) BGR; None beyond the end of the view.
         """
         settings = self.recording.views[view]
-        if not (settings.source or settings.masks):
+        if not settings.has_pictures:
             return None
         if view not in self._readers:
             self._readers[view] = AnyFrame(settings)

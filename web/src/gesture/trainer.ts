@@ -121,7 +121,7 @@ export class Trainer {
       answered(this.counters, at);
       return false;
     });
-    if (step.events.some((e) => e.kind === "start")) play("detected");
+    if (step.events.some((e) => e.event === "start")) play("detected");
   }
 
   takePicture(picture: Picture): void {
