@@ -16,11 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from hypose.body.body import BONE_END, Body, Mesh
-from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between
 
-PARAMETERS = ("a1", "a2", "a3", "e1", "e2", "t1", "t2", "k", "alpha")
-"""Names of x_d, in order."""
 RINGS, SECTORS = 7, 10
 """Nodes along and around a part, poles not counted."""
 _SERIES = 1e-3
@@ -30,8 +27,6 @@ _SERIES = 1e-3
 def grid(rings: int = RINGS, sectors: int = SECTORS) -> tuple[Array, NDArray[np.int32]]:
     """Angles (N, 2) of a part's nodes (along, around) in the topological domain, and the closed mesh (F, 3) on them,
     counter-clockwise from outside. The first and last node are the poles."""
-    if rings < 1 or sectors < 3:
-        raise InputError(f"A part needs at least 1 ring of 3 nodes, got {rings} of {sectors}.")
     along = np.linspace(-np.pi / 2, np.pi / 2, rings + 2)[1:-1]
     around = np.linspace(-np.pi, np.pi, sectors, endpoint=False) + np.pi / sectors
     ring = np.stack(np.meshgrid(along, around, indexing="ij"), -1).reshape(-1, 2)
@@ -52,10 +47,7 @@ def grid(rings: int = RINGS, sectors: int = SECTORS) -> tuple[Array, NDArray[np.
 def nodes(parameters: ArrayLike, angles: Array) -> Array:
     """Nodes (N, 3) m of a part in its own frame (origin at its middle, third axis along the bone), from its parameters
     (9,), at angles (N, 2) of `grid`: D of equation (1)."""
-    x_d = np.asarray(parameters, dtype=np.float64)
-    if x_d.shape != (9,) or not (x_d[:5] > 0).all():
-        raise InputError(f"A part has nine parameters {', '.join(PARAMETERS)}, the first five above 0, got {x_d}.")
-    a1, a2, a3, e1, e2, t1, t2, k, alpha = x_d
+    a1, a2, a3, e1, e2, t1, t2, k, alpha = np.asarray(parameters, dtype=np.float64)
     along, height = _power(np.cos(angles[:, 0]), e1), _power(np.sin(angles[:, 0]), e1)
     x = (1 + t1 * height) * a1 * along * _power(np.cos(angles[:, 1]), e2)
     y = (1 + t2 * height) * a2 * along * _power(np.sin(angles[:, 1]), e2)

@@ -56,6 +56,9 @@ def test_the_modes_can_be_read(one_camera) -> None:
     np.testing.assert_allclose(np.nansum(modes.weights, 1), 1.0, atol=1e-6)
     assert (modes.depth_sd > 0).any()
     assert np.isnan(motion.cost).all()  # costs of pictures are no overlap
+    spread = np.linalg.eigvalsh(motion.joint_covariance)[..., -1]
+    # the wider the region, the likelier an error
+    assert (np.diff(motion.error_probability.ravel()[np.argsort(spread, axis=None)]) >= 0).all()
 
 
 def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, interrupted):
