@@ -38,7 +38,7 @@ _PLACES = {
     # frame by frame, with evidence of one's own
     "Frame": "hypose.evidence.frame",
     "Silhouettes": "hypose.evidence.frame",
-    "FrameList": "hypose.pipeline.track_loop",
+    "FrameList": "hypose.pipeline.sources",
     "OwnEvidence": "hypose.evidence.cues",
     "PointTerm": "hypose.evidence.terms",
     "RowTerm": "hypose.evidence.terms",

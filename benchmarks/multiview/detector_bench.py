@@ -26,10 +26,9 @@ from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.detect_keypoints import detect_keypoints
-from hypose.pipeline.run import track_source
+from hypose.pipeline.sources import FrameList
 from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track import track, track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import Scene, make_scene

@@ -23,9 +23,9 @@ from hypose.geometry import Array, se3, so3_exp
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, load_recording
 from hypose.io.videos.video import open_video
-from hypose.pipeline.run import track_source
+from hypose.pipeline.sources import FrameList
 from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import KeypointModel, prepare
 

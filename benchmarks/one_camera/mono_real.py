@@ -13,8 +13,9 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.recorded_frames import needs_masks, one_view
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 
 CAMERA = "cam03"

@@ -21,8 +21,9 @@ from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackResult, track_people
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.run import TrackResult
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Corruptions, Scene, make_scene

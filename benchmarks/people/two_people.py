@@ -21,8 +21,8 @@ from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.io.videos.video import open_video
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 
 _FAR = 0.5  # m from him: somebody else

@@ -35,10 +35,12 @@ from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.recorded_frames import count_people
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.sources import FrameList
 from hypose.pipeline.subject import AnthropometryOptions, TrackedSubject, different_poses, estimate_subject
-from hypose.pipeline.track_loop import FrameList, StageProgress
+from hypose.pipeline.track import track_source
+from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
 
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")

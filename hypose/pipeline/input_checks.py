@@ -17,15 +17,19 @@ from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, f
 from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
 from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
 from hypose.calibration.diagnostics import gross_silhouettes
-from hypose.calibration.findings import Finding, Limits, depth_findings
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, widest_angle
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
+from hypose.pipeline.assessment import other_people_note
+from hypose.pipeline.moved_sensors import moved_sensors
+from hypose.pipeline.passes import ClipState, Pass, find_people, session_of, track_clip, track_rest
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameList, FrameSource
+from hypose.pipeline.sources import FrameList, FrameSource, PlacedSource
+from hypose.pipeline.subject import measured_height
 
 
 def check_inputs(
@@ -78,14 +82,6 @@ def _some(source: FrameSource) -> list[Frame]:
 
 def _rows(total: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, total - 1, min(total, SETTINGS.look_frames)).round().astype(np.int64))
-
-
-def of_measured(stature: float) -> tuple[Finding, ...]:
-    """Check whether a height (m) that was measured from masks or depth is plausible for a person.
-
-    Returns: one finding where it is not; empty otherwise.
-    """
-    return tuple(height_findings(stature, None, Limits()))
 
 
 def places_refuted(found: Sequence[Finding]) -> bool:
@@ -146,3 +142,74 @@ def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Li
     rig = silhouettes[0].rig
     gross = gross_silhouettes(rig, silhouettes, replace(o, gross=0.04))
     yield from gross or focal_findings(focal_by_masks(rig, mask_tracks(silhouettes)))
+
+
+# ---- passes ----------------------------------------------------------------------------------------------------------
+
+
+def check_evidence(clip: ClipState) -> ClipState:
+    """Check masks, key points and cameras against each other before tracking, and add the findings.
+
+    Where several people are tracked, only depth maps are checked, since the other checks are of one person.
+    """
+    options = clip.options
+    clip.progress("look", 0, 1)
+    others = ()
+    if clip.finder is not None:
+        found = check_depth_inputs(clip.source)
+    else:
+        found = check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
+    # wrong cameras can make one person look like two
+    more = 0 if clip.finder or places_refuted(found) else getattr(clip.source, "others", 0)
+    if more:
+        others = (other_people_note(more, "key points", "--people all"),)
+    clip.progress("look", 1, 1)
+    return clip.with_findings(*found, *others)
+
+
+def place_sensors(clip: ClipState) -> ClipState:
+    """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
+    done = clip.estimates
+    if not done or not clip.complete or clip.finder is not None:
+        return clip
+    poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
+    places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
+    if not places:
+        return clip
+    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
+    subject = clip.who
+    if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
+        subject = clip.find(clip)
+        clip = replace(clip, notes=subject.notes)
+    clip = replace(clip, people=(clip.at_start(subject),))
+    return track_rest(clip, session_of(clip, checkpoint=False))
+
+
+def check_height(clip: ClipState) -> ClipState:
+    """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
+    depth show; add the findings.
+    """
+    o, estimates = clip.options, clip.estimates
+    if clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
+        return clip
+    body = clip.who.body
+    if o.height is None and clip.body is None:
+        clip = clip.with_findings(*height_findings(body.stature, None, Limits()))
+    asked = o.height if clip.body is None else clip.body.stature
+    if asked is None or clip.method is not None or not clip.complete or o.looks_at == "keypoints":
+        return clip
+    poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
+    reported = measured_height(clip.source.frame, body, poses, iou)
+    off = 0.0 if reported is None else abs(reported / asked - 1)
+    if reported is None or off <= SETTINGS.subject_height_review:
+        return clip
+    severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
+    text = (
+        f"the person is {reported:.2f} m tall by what the cameras see, not {asked:.2f} m as given: leave the height "
+        "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
+    )
+    return clip.with_findings(Finding("height", (), text, size=off, severity=severity))
+
+
+CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, check_height)
+"""Passes of one or more people together, with the checks of a recording's cameras."""

@@ -32,10 +32,10 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.sources import FrameSource
 from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, find_subject
 from hypose.pipeline.track_loop import (
-    FrameSource,
     Member,
     StageProgress,
     TrackedPerson,
@@ -309,6 +309,7 @@ class PeopleFinder:
     count: int | None = None
     wanted: Sequence[KnownPerson] = ()
     points: KeypointPeople | None = None
+    alone = False
 
     # ---- the beginning -----------------------------------------------------------------------------------------
 
@@ -460,6 +461,8 @@ class PeopleFinder:
         seen: the frame as each person's tracker saw it.
         """
         people, t = session.people, session.done - 1
+        for p, own in zip(people, seen, strict=True):
+            self._mark_absence(p, frame, own)
         look = t % self._look_every == 0
         if look:
             session.settle()
@@ -468,6 +471,20 @@ class PeopleFinder:
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
         if look:
             session.candidates = self._look(people, frame, t, session.candidates, session.held)
+
+    def _mark_absence(self, p: TrackedPerson, frame: Frame, own: Frame) -> None:
+        """Mark a person as absent who has not been seen for long, and as hidden where others cover all views but one.
+
+        own: the frame as the person's tracker saw it.
+        """
+        shown = own.visible_share
+        p.gone = p.gone + 1 if p.member.state.lost or p.member.state.blind > 0 else 0
+        if p.member.present and p.gone > SETTINGS.people_gone_s * self.frame_rate:
+            p.member = replace(p.member, present=False)
+            for marks in (p.present, p.hidden):
+                marks[-p.gone :] = [False] * len(marks[-p.gone :])
+        hidden = p.present[-1] and len(shown) and (shown > SETTINGS.rough_hidden).sum() < frame.fewest_views
+        p.hidden[-1] = bool(hidden)
 
     @property
     def _look_every(self) -> int:

@@ -114,7 +114,7 @@ def has_masks(recording: Recording) -> bool:
 def needs_masks(recording: Recording, evidence: str) -> bool:
     """Return whether masks of the one camera are made: it has masks, and the evidence is with them.
 
-    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
+    evidence: option of the command, one of `tracking.recipes.PICTURE_CUES`.
     Raises: InputError where the evidence needs masks or key points that the camera does not have.
     """
     view = recording.views[0]

@@ -41,9 +41,9 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.recorded_frames import frames_to_examine
-from hypose.pipeline.run import track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import SubjectOptions, find_subject, with_outlines
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 

@@ -31,7 +31,7 @@ from hypose.geometry import Array, runs
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.pipeline.frame_anomalies import in_words, looked_again
+from hypose.pipeline.frame_anomalies import looked_again
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
@@ -94,28 +94,6 @@ def retrack_start(
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
     out[:at] = better[::-1]
     return out, range(max(moved, default=-1) + 1)
-
-
-def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
-    """Write the note for the user that left and right were corrected.
-
-    replaced: ranges of frames that were tracked again.
-    Returns: one sentence; empty where there is no such range.
-    """
-    if not replaced:
-        return ()
-    return (
-        f"left and right had been exchanged in {in_words(replaced)}, or the body lost; tracked again the right way",
-    )
-
-
-def start_notes(replaced: range) -> tuple[str, ...]:
-    """Write the note for the user that the first frames were tracked again.
-
-    replaced: range of frames that were tracked again.
-    Returns: one sentence; empty where the range is empty.
-    """
-    return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
@@ -342,15 +320,6 @@ def backward_pass(
         out[first : t + 1] = better
         t = first - 1
     return out, moved
-
-
-def backward_pass_notes(moved: int) -> tuple[str, ...]:
-    """Write the note for the user that arms were tracked backwards.
-
-    moved: number of frames in which an arm moved.
-    Returns: one sentence; empty where no arm moved.
-    """
-    return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
 
 def _known(estimate: FrameEstimate) -> bool:

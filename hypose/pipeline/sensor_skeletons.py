@@ -37,9 +37,11 @@ from hypose.io.sensors.skeleton_streams import (
     shifted,
 )
 from hypose.pipeline.assessment import Assessment, assess
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameSource, StageProgress
+from hypose.pipeline.sources import FrameSource
+from hypose.pipeline.track import track_source
+from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints

@@ -8,7 +8,7 @@ Where the person is alone, the frame decides that is explained best.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,16 +196,11 @@ def way_of(
         found[k] = estimate
         if best is None or len(found) < SETTINGS.choice_enough:
             continue
-        if _mean_more(found, best) > SETTINGS.choice_hopeless:
+        more = np.array([e.cost - best.costs[t] for t, e in found.items()])
+        if np.nan_to_num(more).mean() > SETTINGS.choice_hopeless:
             return None
     costs = np.array([found[k].cost for k in range(len(frames))])
     return StartTrial(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
-
-
-def _mean_more(found: Mapping[int, FrameEstimate], best: StartTrial) -> float:
-    """Compute by how much more the tracked frames cost than the same frames of the best trial, on average."""
-    more = np.array([e.cost - best.costs[k] for k, e in found.items()])
-    return float(np.nan_to_num(more).mean())
 
 
 @dataclass(frozen=True)
@@ -282,16 +277,13 @@ def best_ways(
         raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
     if alone is not None and not tried and (len(found) == 1 or not shared):
         return alone[1]
-    return _by_all_frames(frames, rate, [*tried, *_likely(found)], seed)
-
-
-def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
-    return [
+    likely = [
         (k, start)
         for k, starts in found
         for start, weight in list(zip(starts.starts, starts.weights, strict=True))[: SETTINGS.choice_best]
         if weight > SETTINGS.choice_likely
     ]
+    return _by_all_frames(frames, rate, [*tried, *likely], seed)
 
 
 def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:

@@ -404,18 +404,6 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
     return free.body.stature if 1 - after < SETTINGS.subject_no_worse * (1 - before) else None
 
 
-def height_sentence(reported: float, given: float) -> str:
-    """Write the sentence that the cameras show another height of the person than the given one.
-
-    reported: height that the cameras show, m.
-    given: height that the user gave, m.
-    """
-    return (
-        f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
-        "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
-    )
-
-
 # ---- body and start of a recording ----------------------------------------------------------------------------------
 
 

@@ -33,8 +33,6 @@ from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.frame_anomalies import looked_at, mask_change
-from hypose.pipeline.one_camera import FrameSource as FrameSource
-from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.part_colours import AppearanceModel
@@ -130,30 +128,6 @@ _LOG = logging.getLogger(__name__)
 
 
 # ---- session --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class FrameList:
-    """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
-    cameras.
-
-    frame_rate: Hz.
-    """
-
-    frames: Sequence[Frame]
-    frame_rate: float = 25.0
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def keypoints(self) -> list[Keypoints | None]:
-        """Key points of all frames."""
-        return [f.keypoints for f in self.frames]
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index, 0 <= index < len."""
-        return self.frames[index]
 
 
 StageProgress = Callable[[str, int, int], None]
@@ -258,22 +232,25 @@ class TrackedPerson:
         self.hidden[since:] = [True] * (last - since)
         self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
 
-    def take(self, estimate: FrameEstimate, member: Member, present: bool = True, hidden: bool = False) -> None:
-        """Add a tracked frame.
+    def take(self, estimate: FrameEstimate, member: Member) -> None:
+        """Add a tracked frame, in which nothing hides the person.
 
         estimate: estimated pose in the frame, with its uncertainty.
         member: tracker and state after it.
-        present: the person is there.
-        hidden: others hide the person from all views but one.
         """
         self.member = member
         self.estimates.append(estimate)
-        self.present.append(present)
-        self.hidden.append(hidden)
+        self.present.append(member.present)
+        self.hidden.append(False)
 
 
 class PeopleManager(Protocol):
-    """Protocol of an object that manages several people while they are tracked."""
+    """Protocol of an object that manages people while they are tracked, of a recording or live."""
+
+    @property
+    def alone(self) -> bool:
+        """Whether there is at most one person, to whom all evidence of a frame belongs."""
+        ...
 
     def keypoints(self, people: Sequence[TrackedPerson], t: int, /) -> Sequence[Keypoints | None]:
         """Return the key points of each person in frame t; empty: people are tracked without key points."""
@@ -314,8 +291,8 @@ class TrackingSession:
 
     @property
     def done(self) -> int:
-        """Number of tracked frames."""
-        return len(self.people[0].estimates)
+        """Number of tracked frames; 0 without people."""
+        return len(self.people[0].estimates) if self.people else 0
 
     def track(
         self, frames: Iterator[Frame], last: Frame | None, total: int, progress: StageProgress
@@ -376,31 +353,23 @@ class TrackingSession:
                 vars(p).update(values)
             raise
 
-    def step(self, frame: Frame, last: Frame | None, pool: ThreadPoolExecutor) -> None:
-        """Track the next frame; its statistics are computed in `pool`.
+    def step(self, frame: Frame, last: Frame | None = None, pool: ThreadPoolExecutor | None = None) -> None:
+        """Track the next frame, of a recording or live.
 
         last: the frame before; None: there is none.
+        pool: computes the statistics of the frame; None: they are not computed.
         """
-        members = [p.member for p in self.people]
-        points = () if self.manager is None else self.manager.keypoints(self.people, self.done)
-        members, estimates, seen = step_together(members, frame, points, alone=self.manager is None)
+        manager = self.manager
+        points = () if manager is None else manager.keypoints(self.people, self.done)
+        alone = manager is None or manager.alone
+        members, estimates, seen = step_together([p.member for p in self.people], frame, points, alone=alone)
         self.settle()
-        self._judging = [pool.submit(copy_context().run, self._judged, frame, last, members, estimates, seen)]
-        for p, member, estimate, own in zip(self.people, members, estimates, seen, strict=True):
-            if self.manager is None:
-                p.take(estimate, member)
-                continue
-            there, shown = p.member.present, own.visible_share
-            p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
-            if there and p.gone > SETTINGS.people_gone_s * self.frame_rate:
-                member, there = replace(member, present=False), False
-                since = len(p.present) - p.gone + 1
-                p.present[since:] = [False] * len(p.present[since:])
-                p.hidden[since:] = [False] * len(p.hidden[since:])
-            hidden = there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < frame.fewest_views
-            p.take(estimate, member, there, bool(hidden))
-        if self.manager is not None:
-            self.manager.manage(self, frame, seen)
+        if pool is not None:
+            self._judging = [pool.submit(copy_context().run, self._judged, frame, last, members, estimates, seen)]
+        for p, member, estimate in zip(self.people, members, estimates, strict=True):
+            p.take(estimate, member)
+        if manager is not None:
+            manager.manage(self, frame, seen)
 
     def _judged(
         self,

@@ -118,7 +118,8 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
 
     ways: list[Callable[[Body, Array], Array]] = [turned_around, limbs_exchanged]
     if named:
-        ways += [partial(limbs_exchanged, limb="arms"), partial(limbs_exchanged, limb="arms", roots=True), _as_it_is]
+        ways += [partial(limbs_exchanged, limb="arms"), partial(limbs_exchanged, limb="arms", roots=True)]
+        ways.append(lambda body, pose: pose)  # the pose itself, also solved without key points
     tried = [pose] * len(ways)
 
     def work(first: int, last: int) -> None:
@@ -133,11 +134,6 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
         if gain > best[0]:
             best = (gain, found)
     return best
-
-
-def _as_it_is(body: Body, pose: Array) -> Array:
-    """Return the pose (D,) itself: a way of `look_for_exchange` that exchanges nothing."""
-    return pose
 
 
 def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:

@@ -143,7 +143,7 @@ class SolvePrediction:
         if self.later is not None:
             self.later.before_solve(frame)
         pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
-        moved = _all_at(pose, h).marked(COMPOSITE, [min(1, h.count - 1)])
+        moved = h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [min(1, h.count - 1)])
         if self.later is not None:
             self.later.before_search(moved, frame)
         return moved
@@ -191,11 +191,6 @@ class InTurn:
 def member(h: Hypotheses, role: str) -> Array:
     """Return the value (D,) of the hypothesis with a role."""
     return h.values[h.has(role).argmax()]
-
-
-def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
-    """Move all hypotheses to one pose (D,); the first one gets the role SOLVED."""
-    return h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
 
 
 def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, expected: Array | None = None) -> Array:

@@ -16,9 +16,9 @@ from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
-from hypose.pipeline.run import track_source
 from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows, skeletons_at_frames
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import known_pose

@@ -15,7 +15,7 @@ from hypose.evidence.keypoints import BODY_25, BODY_25B, other_sides
 from hypose.geometry import se3
 from hypose.pipeline.assessment import sentences
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
 from hypose.synthetic.scenes import make_scene
 
 BALANCING = Path(__file__).parents[3] / "shared" / "data" / "pose2sim_balancing"

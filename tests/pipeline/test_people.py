@@ -11,8 +11,9 @@ from hypose.evidence.frame import Frame
 from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline import people
 from hypose.pipeline.recorded_frames import count_people
-from hypose.pipeline.run import track_people
-from hypose.pipeline.track_loop import FrameList, shape_of
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people
+from hypose.pipeline.track_loop import shape_of
 from hypose.pipeline.track_management import KeypointPeople, KnownPerson, names_at_places, per_frame, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene

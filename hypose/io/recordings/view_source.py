@@ -229,13 +229,11 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
     Returns: the mask, and the undistorted picture, which is valid within the mask until the next call with this
         Preparer.
     """
-    box: Box | None = None
-    if segment.glance is not None:  # then only the person's box is processed
-        found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
-        box = found or (0, 0, 0, 0)
+    found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
+    box = found or (0, 0, 0, 0)  # only the person's box is processed
     prepared = prepare.within(image, box)
-    runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area:
+    runs = segment.packed(prepared, band, box)
+    if runs.area:
         (y0, y1, x0, x1), (a0, a1, b0, b1) = box, runs.box
         if not (y0 <= a0 and a1 <= y1 and x0 <= b0 and b1 <= x1):  # closed or filled parts may reach beyond it
             prepared = prepare.within(image, None)

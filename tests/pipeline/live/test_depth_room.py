@@ -15,7 +15,7 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_models import DepthViewBackground
-from hypose.pipeline.live.background_work import PackedMasks
+from hypose.pipeline.live.background_work import KeptFrame
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
 from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.recorder import LiveRecorder
@@ -45,7 +45,7 @@ def test_the_person_stands_before_the_room_that_was_learnt(frame):
 
 
 def test_depth_is_kept_of_the_person(frame):
-    again = PackedMasks.of(frame).frame(3, frame.depth.rig).depth
+    again = KeptFrame.of(frame).frame().depth
     person = frame.depth.person > 0
     assert np.array_equal(again.person, frame.depth.person)
     assert np.abs(again.maps - frame.depth.maps)[person].max() < 0.001

@@ -142,7 +142,8 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
         k = next(f.index for f in frames if step_with_duels(people, f))
         (person,) = people.people
         body = person.tracker.body
-        person.state = person.tracker.start(turned_around(body, person.state.pose))
+        turned = person.tracker.start(turned_around(body, person.state.pose))
+        person.member = replace(person.member, state=turned)
         s = body.skeleton
         left, right = s.joint("left_hip"), s.joint("right_hip")
         turned, duels = [], 0
