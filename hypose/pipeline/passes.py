@@ -455,7 +455,7 @@ def judge_joints(clip: ClipState) -> ClipState:
     return replace(clip, motion=motion).with_findings(*found)
 
 
-def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:
+def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None]) -> Motion:
     """Add to the motion the error probability of each joint, and standard deviations that also cover wrong joints.
 
     known: kind of evidence, where the audit does not show it.
