@@ -69,7 +69,7 @@ def _fast_term(frame: Frame) -> ContourTerm:
 def _slow_term(frame: Frame) -> ContourTerm:
     assert frame.silhouettes is not None
     term = contour_term(frame.silhouettes, outline_count=390)
-    return replace(term, row_spacing_px=term.row_spacing_px / 3)
+    return term._replace(row_spacing_px=term.row_spacing_px / 3)
 
 
 def _solve(

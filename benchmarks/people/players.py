@@ -64,7 +64,8 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
     together = FrameList(list(scene.mask_frames(1.0)), RATE)
     lags = np.array([DESYNC[c % len(DESYNC)] for c in range(len(scene.rig))], dtype=np.float64)
     masks = [f.silhouettes for f in together.frames]
-    late = offsets_from_motion(scene.given_rig.pinhole(), None, masks).frames
+    no_points = np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 0))
+    late = offsets_from_motion(scene.given_rig.pinhole(), no_points, masks).frames
     out: dict[str, Any] = {"offset": float(np.abs((late - late.mean()) - (lags - lags.mean())).max())}
     for case, offsets in (("late", np.zeros(len(lags))), ("in step", late)):
         shift = float((offsets - lags).mean())  # of the truth that the cameras show on the mean, frames

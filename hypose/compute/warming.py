@@ -29,9 +29,10 @@ from hypose.compute.arrays import (
     FIXED,
     NO_KEYPOINTS,
     NO_POINTS,
-    ContourArrays,
+    ContourTerm,
     Cues,
     DepthArrays,
+    DepthTerm,
     MeshArrays,
     PriorArrays,
     SolveSettings,
@@ -121,9 +122,8 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
     outline = np.zeros((1, 16, 2), dtype=np.float32)
-    contours = ContourArrays(
-        sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
-    )
+    given = sdf, outline, np.array([True]), sizes, projection, 1.0, 2.0, 4.0, 2.0, 16, 30.0
+    contours = ContourTerm(*given, np.ones(1), 0 * sizes, sizes)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     given = (tree, mesh, Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), priors)
     return q, given, workspace(tree, mesh, 32, 32)
@@ -140,7 +140,7 @@ def _depth() -> None:
     none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
     surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
-    q, given, ws = _evidence(DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
+    q, given, ws = _evidence(DepthArrays(DepthTerm(*surface), first, ring))
     solve(q, *given, SolveSettings(1, 0), ws)
 
 

@@ -39,6 +39,7 @@ from hypose.pipeline.passes import AFTER_TRACKING, ClipState, Pass, judge_joints
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameSource, PictureFrames, RecordedFrames
 from hypose.pipeline.subject import TrackedSubject
+from hypose.tracking.error_model import probability_by_spread
 from hypose.tracking.frame_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints, keypoints_on, seen_points
@@ -404,7 +405,8 @@ def find_in_picture(clip: ClipState) -> TrackedSubject:
 def assess_picture(clip: ClipState) -> ClipState:
     """Judge the motion of one camera by its picture; the modes give the other possible poses.
 
-    The motion gets frames of low confidence; its uncertainty is in the modes. Without a motion nothing is done.
+    The motion gets frames of low confidence and, by its covariance, the error probability of each joint; its
+    uncertainty is in the modes. Without a motion nothing is done.
     """
     motion = clip.motion
     if motion is None:
@@ -413,7 +415,9 @@ def assess_picture(clip: ClipState) -> ClipState:
     deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
-    motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
+    low_confidence = low_confidence if before is None else before | low_confidence
+    p = probability_by_spread(motion.joint_covariance).astype(np.float32)
+    motion = replace(motion, low_confidence=low_confidence, error_probability=p)
     found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
     notes = (*clip.notes, depth_note(motion, clip.modes))
     return replace(clip, motion=motion, notes=notes).with_findings(*found)

@@ -46,7 +46,13 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
+from hypose.tracking.error_model import (
+    as_mixture,
+    evidence_of,
+    judged,
+    needs_review,
+    not_in_set,
+)
 from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip

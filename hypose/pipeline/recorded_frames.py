@@ -36,7 +36,8 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
     Raises: InputError where a recipe for one camera lacks the pictures, masks or key points that it needs.
     """
     if options.of_picture:
-        return picture_options(recording, options.start, options.looks_at)
+        side = side_to_work_on(recording, clicks_of(options.start, recording))
+        return FrameSettings(side, masks=needs_masks(recording, options.looks_at))
     if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
         return FrameSettings(masks=False)
     if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
@@ -97,15 +98,9 @@ def working_side(recording: Recording, person_px: float, picture: tuple[int, int
     picture: (width, height), px.
     Returns: between SETTINGS.picture_smallest_side and the calibrated size.
     """
-    longest = max(recording.rig[0].size)
-    share = person_px / max(picture)
-    return round(
-        float(
-            np.clip(
-                SETTINGS.picture_target_px / max(share, 1e-3), min(SETTINGS.picture_smallest_side, longest), longest
-            )
-        )
-    )
+    longest, share = max(recording.rig[0].size), person_px / max(picture)
+    wanted = SETTINGS.picture_target_px / max(share, 1e-3)
+    return round(min(max(wanted, min(SETTINGS.picture_smallest_side, longest)), longest))
 
 
 def has_masks(recording: Recording) -> bool:
@@ -113,8 +108,7 @@ def has_masks(recording: Recording) -> bool:
 
     Why: a background learned from the clip contains the person.
     """
-    view = recording.views[0]
-    return bool({"masks", "background"} & view.files.keys())
+    return bool({"masks", "background"} & recording.views[0].files.keys())
 
 
 def needs_masks(recording: Recording, evidence: str) -> bool:
@@ -135,18 +129,6 @@ def needs_masks(recording: Recording, evidence: str) -> bool:
             "--evidence out."
         )
     return has_masks(recording) and evidence in ("auto", "silhouettes", "both")
-
-
-def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
-    """Select the settings with which the pictures of a recording of one camera are read: their size, from the size of
-    the person, and the masks.
-
-    recording: recording of one camera.
-    start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.recipes.PICTURE_CUES`.
-    """
-    side = side_to_work_on(recording, clicks_of(start, recording))
-    return FrameSettings(side, masks=needs_masks(recording, evidence))
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
@@ -218,25 +200,20 @@ def frames_to_examine(recording: Recording, progress: StageProgress = unreported
     Returns: the frames, and whether several people are in the masks.
     """
     one = FrameStream(recording, progress=progress)
-    depth = bool(recording.depth_views)
-    alone = depth and len(recording.views) == 1
-    if Silhouettes not in one.kinds or one.tells_apart or alone:
+    depth = bool(recording.depth_views)  # a depth camera's mask keeps the largest part, or the one most like a person
+    if Silhouettes not in one.kinds or one.tells_apart or (depth and len(recording.views) == 1):
         return one, False
-    whole = replace(one.options, people=True)
-    all_people = FrameStream(recording, whole, one.backgrounds or None)
-    if depth:  # a single depth camera keeps the largest part, or the one most like a person
-        several = count_people(all_people.frame, len(all_people)) > 1
-        (one if several else all_people).close()
-        return (all_people, True) if several else (one, False)
-    rows = np.unique(np.linspace(0, len(all_people) - 1, SETTINGS.several_looks).astype(int)).tolist()
+    all_people = FrameStream(recording, replace(one.options, people=True), one.backgrounds or None)
+    looks = 0 if depth else SETTINGS.several_looks
+    rows = np.unique(np.linspace(0, len(all_people) - 1, looks).astype(int)).tolist()
     masks = pieces_of((all_people.frame(i) for i in rows), Silhouettes)
     several = several_apart(masks)
-    if not several and several_apart(
-        masks, SETTINGS.several_now_and_then
-    ):  # people who pass behind each other: counted if the cameras agree
+    # people who pass behind each other are counted if the cameras agree
+    if not several and (depth or several_apart(masks, SETTINGS.several_now_and_then)):
         several = count_people(all_people.frame, len(all_people)) > 1
-    (one if several else all_people).close()
-    return (all_people, True) if several else (one, False)
+    kept, other = (all_people, one) if several else (one, all_people)
+    other.close()
+    return kept, several
 
 
 def _apart(people: Sequence[HullPerson]) -> int:
@@ -273,14 +250,11 @@ def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream |
     """
     settings, views = source.options, source.recording.views
     masks = Silhouettes in source.kinds and options.looks_at != "keypoints" and not options.of_picture
-    if not masks or len(source.rig) < 2 or source.tells_apart:
-        return None
-    if source.recording.depth_views:
-        # one depth camera keeps the largest person; several depth cameras, and pictures, may show other people;
-        # masks made by other programs may be of one person
-        if any("masks" in view.files for view in views) or options.looks_at != "silhouettes":
-            return None
-    elif len(views) < 3:
+    # one depth camera keeps the largest person; several depth cameras, and pictures, may show other people; masks made
+    # by other programs may be of one person
+    given = any("masks" in view.files for view in views) or options.looks_at != "silhouettes"
+    enough = len(views) > 1 and not given if source.recording.depth_views else len(views) > 2
+    if not masks or not enough or source.tells_apart:
         return None
     whole = FrameSettings(settings.longer_side, settings.silhouettes, people=True, colours=True)
     all_people = FrameStream(source.recording, whole, source.backgrounds or None)

@@ -341,7 +341,10 @@ def judged(
     if evidence == "keypoints":
         p = np.maximum(p, _by_few_views(motion, audit))
     if evidence in ("keypoints", "both"):  # sets without some joints; masks show the whole body
-        p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
+        p = np.maximum(
+            p,
+            probability_by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence)).joint_covariance),
+        )
     if evidence == "silhouettes":  # evidence beyond outlines shows which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
@@ -429,14 +432,15 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
 
 
-def _by_spread(motion: Motion) -> Array:
-    """Compute the probability (T, J) of an error above WRONG_M along the least certain axis of each joint's covariance.
+def probability_by_spread(covariance: ArrayLike) -> Array:
+    """Compute the probability (...) of an error above WRONG_M along the least certain axis of covariances (..., 3, 3),
+    m^2.
 
     Why: what no evidence shows is not known just because nothing contradicts it.
     """
     from scipy.special import ndtr  # takes long to import
 
-    around = np.nan_to_num(motion.joint_covariance.astype(np.float64), nan=1.0, posinf=1.0)
+    around = np.nan_to_num(np.asarray(covariance, dtype=np.float64), nan=1.0, posinf=1.0)
     return 2 * ndtr(-WRONG_M / np.sqrt(np.maximum(np.linalg.eigvalsh(around)[..., -1], 1e-8)))
 
 

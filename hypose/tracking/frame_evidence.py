@@ -160,7 +160,7 @@ def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
         return term
     points = term.points.copy()
     points[..., 2] *= model.cue_weight[:, model.known]
-    return replace(term, points=points)
+    return term._replace(points=points)
 
 
 def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:

@@ -129,7 +129,7 @@ def solved_frames(
         term = keypoint_term(frame, body, model, poses[t])
         if term is not None:
             scores = term.points[..., 2:] * (1.0 if weights is None else weights[model.known, None])
-            term = replace(term, points=np.concatenate([term.points[..., :2], scores], -1))
+            term = term._replace(points=np.concatenate([term.points[..., :2], scores], -1))
             out[t] = fit_pose(body, poses[t], [term], priors=prior, options=options).pose
     return out
 

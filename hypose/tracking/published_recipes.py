@@ -125,7 +125,7 @@ def apf(
     particles: number of hypotheses; layers: number of layers; frame_rate: Hz.
     The first layer moves all coordinates by the usual motion of a frame (K_t). Every further layer moves them by
     `scale` times the spread of the set that the previous layer left (adaptive diffusion, at most Sigma_0), or,
-    with `betas`, by Sigma_0 decayed.
+    with `betas`, by Sigma_0, decayed from the third layer on.
     survival: survival rate of every layer.
     betas: fixed exponents, one per layer, with the steps of eq. 2.10 (the listing as printed); None: adaptive diffusion
         and the survival rate.
@@ -138,7 +138,9 @@ def apf(
     between_layers = AdaptiveDiffusion(scale, s.lower, s.upper, sigma)
     rows = []
     for n in range(layers if betas is None else len(betas)):
-        step = between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), n))
+        step = (
+            between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), max(n - 1, 0)))
+        )
         rows.append(Layer(step, _weigh(annealing_rate_of(n, betas, survival)), systematic, f"annealing {n}"))
     return _published("apf", rows, s, particles)
 

@@ -2,7 +2,6 @@
 entry below, or these tests fail."""
 
 import inspect
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -158,7 +157,7 @@ def by_corners(at, _, factor):
 
 def proportions_of_points(_):
     prior = proportions(BODY, None)
-    seen = replace(KEYPOINTS, points=KEYPOINTS.points[:1], projections=RIG.projections[:1])
+    seen = KEYPOINTS._replace(points=KEYPOINTS.points[:1], projections=RIG.projections[:1])
     made = points._PointsProblem(BODY, [lambda body: seen] * 2, prior.centre, prior, [], None)
     return made, prior.centre[points.INTERNAL]
 

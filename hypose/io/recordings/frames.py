@@ -37,13 +37,13 @@ from hypose.evidence.depth_background import behind_things
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
     BitMask,
+    Segmenter,
     SilhouetteSettings,
     flag_collapsed,
-    make_segmenter,
     make_silhouettes,
     with_doubted_limbs,
 )
@@ -132,7 +132,7 @@ class PendingMasks:
 
 def _outline(done: Future[PackedMask]) -> ViewOutline | None:
     runs = done.result().runs
-    return None if runs is None else outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT)
+    return None if runs is None else outline_of_packed(runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 def _colours(masks: Sequence[PackedMask], shape: tuple[int, ...]) -> Colours | None:
@@ -387,7 +387,7 @@ class FrameStream:
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
             source = ViewSource(view, camera, small, self.options.people, len(r.views))
             if background is not None:
-                source.segment = make_segmenter(background, self.options.silhouettes)
+                source.segment = Segmenter(background, self.options.silhouettes)
             self._sources.append(source)
         objects = {c: s.objects for c, s in enumerate(self._sources) if s.objects is not None}
         self._people_notes += choose_objects(r, self.rig, objects, self.keypoints, self.options.people)
@@ -522,7 +522,7 @@ class FrameStream:
         source, background = self._sources[view], self.backgrounds[view]
         source.given = None if picture is None else (number, picture)
         if background is not None:
-            source.segment = make_segmenter(background, settings)
+            source.segment = Segmenter(background, settings)
         runs, reason = self._mask(view, number)
         if runs is None:
             raise InputError(reason)

@@ -218,15 +218,12 @@ def on_one_clock(
     if given is not None and found is not None and abs(given / found - 1) > 0.005:
         says = "videos say" if rates else "file of key points says"
         notes.append(f"frame_rate = {given:g} is used as given; the {says} {found:g} frames/s.")
-    timed_views = list(views)
-    for k, (view, t) in enumerate(zip(views, times, strict=True)):
-        if t is None or not rates or found is None:
+    timed_views = [replace(v, rate=found) if t is not None and rates else v for v, t in zip(views, times, strict=True)]
+    for k, (view, t) in enumerate(zip(timed_views, times, strict=True)):
+        stored = stored_numbers(view)
+        if stored is None or t is None:
+            timed_views[k] = views[k]
             continue
-        timed = replace(view, rate=found)
-        stored = stored_numbers(timed)
-        if stored is None:
-            continue
-        timed_views[k] = timed
         for clip in clips[k]:
             clip.n_frames = clip.stated_frames = len(stored)
         notes.append(f"View {view.name}: {_of_times(t)}, so it is read by its time stamps at {found:g} frames/s.")

@@ -229,13 +229,11 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
     Returns: the mask, and the undistorted picture, which is valid within the mask until the next call with this
         Preparer.
     """
-    box: Box | None = None
-    if segment.glance is not None:  # then only the person's box is processed
-        found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
-        box = found or (0, 0, 0, 0)
+    found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
+    box = found or (0, 0, 0, 0)  # only the person's box is processed
     prepared = prepare.within(image, box)
-    runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area:
+    runs = segment.packed(prepared, band, box)
+    if runs.area:
         (y0, y1, x0, x1), (a0, a1, b0, b1) = box, runs.box
         if not (y0 <= a0 and a1 <= y1 and x0 <= b0 and b1 <= x1):  # closed or filled parts may reach beyond it
             prepared = prepare.within(image, None)
@@ -295,6 +293,12 @@ class ViewSource:
     small: pinhole camera of the working size.
     people: find all people in depth maps.
     parallel: number of videos that are decoded at the same time and share the cores.
+
+    Attributes:
+    prepare: conversion of stored pictures to the working size.
+    objects: masks of several objects of this view; None where its masks do not separate objects.
+    segment: segmentation of the pictures against the background; None: not known yet.
+    given: number and stored picture of a frame that need not be read.
     """
 
     def __init__(
@@ -306,6 +310,7 @@ class ViewSource:
         masks = view.files.get("masks")
         self._masks = _MaskSource(view, masks, self.prepare, small.size) if masks else None
         self.depth = DepthSource(view, camera, small, people) if "depth" in view.files else None
+        self.objects = self._masks.objects if self._masks else None
         self._given = self.depth or self._masks  # masks that need no segmentation of pictures
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
@@ -314,7 +319,6 @@ class ViewSource:
         self._shown: tuple[int, Image] | None = None
         self._memory: Image | None = None  # of the last picture of a video
         self.given: tuple[int, Image] | None = None
-        """Number and stored picture of a frame that need not be read."""
 
     @property
     def furnished(self) -> tuple[DepthBackground | None, float]:
@@ -322,11 +326,6 @@ class ViewSource:
         the visible area of these things, m^2; (None, 0) for other cameras.
         """
         return self.depth.furnished if self.depth else (None, 0.0)
-
-    @property
-    def objects(self) -> ObjectMasks | None:
-        """Masks of several objects of this view; None where its masks do not separate objects."""
-        return self._masks.objects if self._masks else None
 
     def image(self, frame: int) -> Image:
         """Read the undistorted picture (h, w, 3) BGR of a frame at working size.

@@ -20,13 +20,12 @@ from hypose.evidence.depth_background import DepthBackground, learn_background, 
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.detector import PoseDetector
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed, view_outline
 from hypose.evidence.pose_network import Crop, mask_of_people
 from hypose.evidence.silhouettes import (
     Segmenter,
     SilhouetteSettings,
     bounding_box,
-    make_segmenter,
 )
 from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
@@ -81,7 +80,7 @@ class ViewBackground:
         """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
-        return packed_masks.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
+        return packed_masks.draw(runs), outline_of_packed(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
@@ -116,7 +115,7 @@ class ViewBackground:
 
     def _take(self, background: BackgroundModel) -> None:
         self.background = background
-        self._segment = make_segmenter(background, self._options)
+        self._segment = Segmenter(background, self._options)
 
 
 def _around(mask: Mask) -> Mask:
