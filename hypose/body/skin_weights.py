@@ -1,5 +1,4 @@
-"""Compute skinning weights of any closed mesh around any skeleton, by heat that diffuses from the bones over the
-surface.
+"""Prepare the mesh of a body: skinning weights, by heat that diffuses from the bones over the surface; a coarse mesh.
 
 Source: Baran & Popovic 2007, "Automatic rigging and animation of 3D characters", section 4: (-Laplacian + H) w = H p,
     with H = c / d^2 for the distance d to the nearest bone, and p = 1 for that bone. Deviations: the nearest bone is

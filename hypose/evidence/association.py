@@ -181,6 +181,7 @@ def meet(views: Views, found: Array, near: float, prior: Array | None = None) ->
     return np.where(found_any[..., None], points, np.nan), used
 
 
+# ---- tracks of people ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class PersonTrack:
     """Track of one person for T frames, from frame `first` of the clip on.

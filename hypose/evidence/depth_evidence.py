@@ -1,4 +1,4 @@
-"""Depth as evidence: measured points on the person's surface, and space that is known to be empty.
+"""Depth as evidence: measured points on the person's surface, space that is known to be empty, and the floor.
 
 A depth pixel means two things: the surface is there, within the sensor's noise; and nothing lies in front of it. Values
 next to jumps of depth are mixtures of both sides (flying pixels) and are left out.

@@ -185,7 +185,8 @@ def visual_hull(
     occupancy[tuple((index - low).T)] = True
     if largest:  # the largest connected body of voxels
         label = np.zeros(occupancy.shape, np.int32)
-        if ndimage.label(occupancy, np.ones((3, 3, 3)), output=label) > 1:
+        count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
+        if count != 1:
             best = int(np.bincount(label.ravel())[1:].argmax()) + 1
             where = ndimage.find_objects(label, best)[best - 1]
             occupancy, low = label[where] == best, low + [s.start for s in where]

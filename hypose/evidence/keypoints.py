@@ -1,4 +1,4 @@
-"""2D key points of any detector: sets of names, OpenPose-style JSON, triangulation, places on the body.
+"""2D key points of any detector: sets of names, their order in other programs, triangulation, places on the body.
 
 Names are lower case with the side first (left_shoulder); left is the person's own left.
 """

@@ -2,7 +2,8 @@
 
 Where the cameras' rays agree, they separate the people (`hypose.evidence.association`). Where they do not, because
 there is one camera or the calibration is wrong, people are tracked in each view separately and matched between views by
-how they move. So a wrong calibration can still be examined, on one person.
+how they move. So a wrong calibration can still be examined, on one person. Points that a program only repeated
+("held") are removed before (`without_held`).
 """
 
 from __future__ import annotations

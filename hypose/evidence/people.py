@@ -1,9 +1,9 @@
-"""Find people in front of depth cameras: clusters of the points that all sensors measure, and whose pixels are whose.
+"""Find people in the visual hull or in depth maps, and extract the evidence for one of several people.
 
 A measured pixel is a place in the world, so it belongs to the nearest body or cluster: people need not be separated in
 the picture. Pixels of others in front give no information on a person, who may be hidden behind them; pixels of others
 behind show that the person is not in front of them.
-The module also gives the space that a person seen by depth cameras may fill: the seen surface and what lies behind it.
+The module also gives the space that a person may fill.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ def _own_mask(
         ignored = np.zeros_like(mask)
         for one in near:
             _hide(ignored, one.shape, c, one.widened, part)
-        area = np.count_nonzero(own.drawn(c))
+        area = int(np.count_nonzero(own.drawn(c)))
     known = mask[at] if ignored is None else mask[at] > ignored[at]
     box = part if anywhere and y1 <= y0 else own.boxes[c]
     return mask, ignored, box, area, "" if known.any() else "no part of the person is visible"
@@ -475,6 +475,7 @@ def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     return Hull(part, hull.origin + low * hull.voxel, hull.voxel)
 
 
+# ---- people in depth maps, and the evidence of each ----------------------------------------------------------------
 _THICK_M, _VOXEL_M = 0.16, 0.03
 _AROUND = np.ones((3, 3), np.uint8)
 
@@ -667,7 +668,7 @@ def _own_pixels(
     body[whole & ~taken & (cv2.dilate(body, _EDGE) > 0)] = 1
     rim = cv2.dilate((taken & (seen < last)).astype(np.uint8), _EDGE) > 0
     ignored = ((rim | (whole & (seen < last))) & (body == 0)).astype(np.uint8)
-    area = max(np.count_nonzero(own.drawn(c)), np.count_nonzero(body))
+    area = int(max(np.count_nonzero(own.drawn(c)), np.count_nonzero(body)))
     if box[1] <= box[0]:
         x, y, w, h = cv2.boundingRect(body)
         box = (y, y + h, x, x + w)

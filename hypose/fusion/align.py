@@ -184,6 +184,7 @@ def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
     return float(np.sqrt(((transform(motion, b[use]) - a[use]) ** 2).sum(1).mean()))
 
 
+# ---- output instants -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class AlignSettings:
     """Settings of the output instants.

@@ -1,4 +1,4 @@
-"""Match the skeletons of all sensors to persons, and register the sensors by the persons that they share.
+"""Match the skeletons of all sensors to persons, register the sensors by the persons that they share, and fuse live.
 
 Persons are matched by the distance of their trunks in the common frame. The common frame is that of the first sensor
 that saw a person, and stays so when that sensor dies. A sensor that comes back is registered again, since it may have
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from hypose.evidence.frame import SensorReport
-from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorBody, SensorStatus
+from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorBody
 from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
 from hypose.fusion.joints import MIRROR, TRUNK_JOINTS
 from hypose.fusion.register import register, robust_motion
@@ -545,8 +545,8 @@ class LiveFuser:
 
     settings: settings of the output instants.
 
-    Call `push` for every report as it arrives, and `poll` at the time `due()` or more often. All times are s of one
-    monotonic host clock.
+    Call `push` for every report as it arrives, and `poll` at the time `aligner.due()` or more often. All times are s of
+    one monotonic host clock.
     """
 
     def __init__(self, settings: AlignSettings | None = None) -> None:
@@ -563,10 +563,6 @@ class LiveFuser:
         """
         return self.aligner.push(report, now)
 
-    def due(self) -> float:
-        """Return the host time (s) at which to call `poll` at the latest."""
-        return self.aligner.due()
-
     def poll(self, now: float) -> list[LiveFrame]:
         """Return the frames that are ready at host time `now`, in order."""
         return [self._fuse(instant) for instant in self.aligner.poll(now)]
@@ -580,10 +576,6 @@ class LiveFuser:
         for r in reports:
             self.push(r)
             yield from self.poll(r.time if r.arrival is None else r.arrival)
-
-    def status(self, now: float) -> tuple[SensorStatus, ...]:
-        """Return the state of each sensor at host time `now`."""
-        return self.aligner.status(now)
 
     def _fuse(self, instant: Instant) -> LiveFrame:
         people = self.people.update(instant)

@@ -301,6 +301,7 @@ SHARP_RULES = NoiseRules(low_centre=0.3, high_centre=0.7, slope=15.0)
 """Rules with steeper sigmoids: the largest noise is 2.2 times the smallest, instead of 1.7 times."""
 
 
+# ---- swarm ---------------------------------------------------------------------------------------------------------
 NEGLIGIBLE = 7.0
 """Distance in scales h beyond which exp(-d / h) < 0.001 counts as 0."""
 

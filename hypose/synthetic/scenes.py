@@ -248,6 +248,7 @@ def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) 
     return world
 
 
+# ---- cameras and scenes --------------------------------------------------------------------------------------------
 RIG_NAMES = ("humaneva-4", "humaneva-7", "ixmas-5", "court-4", "ring-N")
 DISTORTION = np.array([-0.18, 0.06, 0.0008, -0.0006, 0.0])
 """Distortion of a common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""

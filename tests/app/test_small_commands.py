@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from hypose.app.jobs.cite import papers_of
+from hypose.app.commands.commands_results import papers_of
 from hypose.compute import compiled, warming
 from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 from hypose.errors import InputError

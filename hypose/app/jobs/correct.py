@@ -65,21 +65,16 @@ def read_correction(path: Path) -> Correction:
 
     Raises: InputError where the file holds no usable pose.
     """
-    usable, pose, frames = False, np.zeros(0), list[Any]([None])
     with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
-        pose = np.array(value["pose"], dtype=np.float64)
-        frames = [value["frame"], value.get("since"), value.get("until")]
-        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and bool(np.isfinite(pose).all())
-    if not usable or not _is_frame(frames[0]):
-        raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    if not all(end is None or _is_frame(end) for end in frames[1:]):
-        raise InputError(f"The frames since and until in {path} must be whole numbers; correct the frame again.")
-    return Correction(frames[0], pose, path.stem, *frames[1:])
-
-
-def _is_frame(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+        pose, frames = (
+            np.array(value["pose"], dtype=np.float64),
+            [value["frame"], value.get("since"), value.get("until")],
+        )
+        whole = type(frames[0]) is int and all(type(f) is int and f >= 0 for f in frames if f is not None)
+        if value["format"] == "hypose-clicks" and whole and pose.ndim == 1 and np.isfinite(pose).all():
+            return Correction(frames[0], pose, path.stem, *frames[1:])
+    raise InputError(f"{path} holds no corrected pose; correct a frame in `hypose view` and save it there.")
 
 
 def corrected_motion(
@@ -135,7 +130,7 @@ def corrected_motion(
     for name in each(progress, "export", formats):
         export_motion(joined, body, out.path, (name,))
     for path in each(progress, "report", [out.file("report.html")]):
-        write_report(path, load_view(out.path, recording), recording)
+        write_report(path, load_view(out.path, recording))
     return joined
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import queue
 import sys
@@ -71,22 +72,6 @@ def typed_commands() -> Callable[[], list[Command]]:
     return since
 
 
-def replaced_model(path: Path, gesture: str, say: _Say) -> None:
-    """Tell the user, before anything is learned, that an existing model file will be replaced; nothing where it does
-    not exist.
-
-    Raises: InputError where the file is of another gesture, or no model.
-    """
-    try:
-        old = load_model(path)
-    except InputError:
-        raise InputError(f"{path} is there already, and no model that can be read; give another file.") from None
-    if old.name != gesture:
-        raise InputError(f"{path} is the model of {old.name}, not of {gesture}; give another file.")
-    how = f"to go on with it, stop and add --resume {path}"
-    say(f"note: {path} holds a model of {gesture} already, which will be replaced; {how}.")
-
-
 def run_session(
     session: Teaching, commands: Callable[[], list[Command]] = list, say: _Say = print_note
 ) -> GestureModel:
@@ -143,12 +128,10 @@ def learn_recordings(
     """
     trainer, seen, asked, shown = Trainer(learner_of(old, seed)), 0, 0, 0
     for k in range(passes):
-        for r in recordings:
-            number = r.number(gesture)
-            for f in r.learned():
-                shows = f.phase == "positive" and f.gesture == number
-                taught = trainer.learn("gesture" if shows else "negative", r.picture(f), r.lens, (f.x, f.y)) is not None
-                seen, asked, shown = seen + taught, asked + shows, shown + (taught and shows)
+        for e in itertools.chain.from_iterable(r.examples(gesture) for r in recordings):
+            kind = "gesture" if e.gesture else "negative"
+            taught = trainer.learn(kind, e.depth, e.lens, (e.x, e.y)) is not None
+            seen, asked, shown = seen + taught, asked + e.gesture, shown + (taught and e.gesture)
         print_note(f"pass {k + 1} of {passes}: {seen} frames learned")
     if not shown and (asked or not trainer.learner.strength):
         raise InputError(_NOTHING.format(gesture=gesture, where=_range(trainer.learner.settings.look.plan)))
@@ -199,16 +182,14 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
         frames that are found within 5 cm (found_share) and of other frames above the threshold (false_share).
     Raises: InputError where the recording has no usable frames.
     """
-    number, forest = recording.number(model.name), model.learner.forest.freeze()
-    scratch, plan, rows, measured = Scratch(), ScanPlan(), [], 0
-    for f in recording.learned():
-        depth, shows = recording.picture(f), f.phase == "positive" and f.gesture == number
-        found = localise(depth, recording.lens, [forest], None, scratch)[0]
-        off = float(np.hypot(found.x - f.x, found.y - f.y)) if shows else np.inf
-        surface = surface_depth(depth, f.x, f.y) if shows else None
+    scratch, plan, forest, rows, measured = Scratch(), ScanPlan(), model.learner.forest.freeze(), [], 0
+    for e in recording.examples(model.name):
+        found = localise(e.depth, e.lens, [forest], None, scratch)[0]
+        off = float(np.hypot(found.x - e.x, found.y - e.y)) if e.gesture else np.inf
+        surface = surface_depth(e.depth, e.x, e.y) if e.gesture else None
         measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
         z = found.position[2] if found.position is not None else np.inf
-        rows.append((found.score, off, off * z / recording.lens.fx if shows else np.inf))
+        rows.append((found.score, off, off * z / e.lens.fx if e.gesture else np.inf))
     if not rows:
         raise InputError(f"{recording.folder} has no labelled frames; record a session with prompts.")
     s, e, m = np.array(rows).T
@@ -295,7 +276,9 @@ def gesture_train(
     check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
-        replaced_model(out, gesture, print_note)
+        growing_model(out, gesture)  # refuses to replace the model of another gesture, and what is none
+        how = f"to go on with it, stop and add --resume {out}"
+        print_note(f"note: {out} holds a model of {gesture} already, which will be replaced; {how}.")
     if recording:
         model = learn_recordings([read_recording(r) for r in recording], gesture, passes, old, seed)
     else:

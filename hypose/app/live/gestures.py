@@ -154,7 +154,7 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
     """
     model = load_model(path)
     if model.name != gesture:
-        raise InputError(f"{path} is of {model.name}, not of {gesture}; give the model of that gesture.")
+        raise InputError(f"{path} is the model of {model.name}, not of {gesture}; give another file.")
     return model
 
 
@@ -214,8 +214,7 @@ class Teaching:
         self.asked = 0
         self._old = old
         self._learned: Counter[tuple[int, str]] = Counter()  # frames and pixels by segment
-        about = {"rounds": settings.rounds}
-        self._writer = None if record is None else SessionWriter(record, [gesture], source.lens, source.size, about)
+        self._writer = None if record is None else SessionWriter(record, [gesture], source.lens, source.size)
 
     @property
     def phase(self) -> str:

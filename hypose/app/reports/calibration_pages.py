@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from hypose import __version__
+from hypose.app.reports.report_parts import html_list, html_table, page, picture_of
 from hypose.app.reports.result_pictures import jpeg, open_images, put_text
-from hypose.app.reports.summary import html_list, html_table, page, picture_of
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration

@@ -315,6 +315,7 @@ def read_opencap(source: Source, rig: RigFile) -> None:
         )
 
 
+# ---- formats -------------------------------------------------------------------------------------------------------
 def _is_xml_with(source: Source, *places: str) -> bool:
     root = source.document
     return isinstance(root, Element) and any(root.find(place) is not None for place in places)

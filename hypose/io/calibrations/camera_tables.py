@@ -258,6 +258,7 @@ def decomposed(projection: Array, where: str) -> tuple[Array, Array, Array]:
     return k, rotation, np.asarray(translation, dtype=np.float64)
 
 
+# ---- tables --------------------------------------------------------------------------------------------------------
 Table = Mapping[str, Any]
 # The spellings that programs use; the first is hypose's own.
 _MATRIX = (

@@ -1,5 +1,4 @@
-"""BVH files, and the parts that BVH and glTF have in common: Y-up axes, poses without gaps, rotations relative to
-parents.
+"""BVH and glTF (GLB) files: Y-up axes, poses without gaps, rotations relative to parents; and skins of GLB files.
 
 Axes: file (x, y, z) = world (x, z, -y). The body then faces +z of the file, as glTF requires. Blender's importers of
     both formats undo this rotation, so Blender shows the world's own coordinates.

@@ -1,4 +1,4 @@
-"""Marker files (TRC), OpenSim motions (.mot) and tables for spreadsheets (CSV).
+"""Marker files (TRC, C3D), OpenSim motions (.mot) and tables for spreadsheets (CSV).
 
 TRC files are tab-separated text with Y up, as OpenSim and Pose2Sim use them. Axes: TRC (x, y, z) = world (y, z, x), the
 rotation of Pose2Sim between its z-up calibration and OpenSim's Y-up ground. A marker that was not seen is three empty
@@ -376,35 +376,35 @@ def write_c3d(
     file: Any = ezc3d.c3d()
     for key, value in {"RATE": [float(frame_rate)], "LABELS": tuple(names), "UNITS": ("mm",)}.items():
         file["parameters"]["POINT"][key]["value"] = value
-    file.add_parameter("POINT", "X_SCREEN", ("+X",))
-    file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
-    # both groups as Vicon writes them
+    groups: dict[str, dict[str, Any]] = {"POINT": {"X_SCREEN": ("+X",), "Y_SCREEN": ("+Z",)}}
     several = len(subjects) > 1
-    if subjects:
-        about: dict[str, Any] = {"USED": [len(subjects)], "IS_STATIC": [0], "USES_PREFIXES": [int(several)]}
-        about |= {"NAMES": list(subjects), "LABEL_PREFIXES": [f"{s}:" if several else "" for s in subjects]}
-        _add_group(file, "SUBJECTS", about)
+    if subjects:  # this group and the next as Vicon writes them
+        groups["SUBJECTS"] = {
+            "USED": [len(subjects)],
+            "IS_STATIC": [0],
+            "USES_PREFIXES": [int(several)],
+            "NAMES": list(subjects),
+            "LABEL_PREFIXES": [f"{s}:" if several else "" for s in subjects],
+        }
     if events := events[:255]:
         times, contexts, labels = zip(*events, strict=True)
-        about = {"USED": [len(events)], "CONTEXTS": list(contexts), "LABELS": list(labels)}
-        about |= {"SUBJECTS": [subjects[0] if subjects else ""] * len(events)}
-        about |= {"ICON_IDS": [1 if label == "Foot Strike" else 2 for label in labels]}
-        about |= {"TIMES": np.array([[time // 60 for time in times], [time % 60 for time in times]])}
-        _add_group(file, "EVENT", about)
+        groups["EVENT"] = {
+            "USED": [len(events)],
+            "CONTEXTS": list(contexts),
+            "LABELS": list(labels),
+            "SUBJECTS": [subjects[0] if subjects else ""] * len(events),
+            "ICON_IDS": [1 if label == "Foot Strike" else 2 for label in labels],
+            "TIMES": np.array([[time // 60 for time in times], [time % 60 for time in times]]),
+        }
+    for group, name, value in ((g, n, v) for g, about in groups.items() for n, v in about.items()):
+        file.add_parameter(group, name, value)
     data = np.ones((4, m, t))
     data[:3] = p.transpose(2, 1, 0) * 1000
     file["data"]["points"] = data
     file["data"]["meta_points"]["residuals"] = residuals.T[None]
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, m, t), dtype=bool)
-    with atomic_path(path) as temporary:
-        with utf8_path(temporary) as name:
-            file.write(name)
-
-
-def _add_group(file: Any, group: str, about: Mapping[str, Any]) -> None:
-    """Add the parameters `about` (values by name) to a group of a file of ezc3d."""
-    for name, value in about.items():
-        file.add_parameter(group, name, value)
+    with atomic_path(path) as temporary, utf8_path(temporary) as written:
+        file.write(written)
 
 
 def read_c3d(path: str | Path) -> Markers:

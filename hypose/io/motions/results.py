@@ -231,15 +231,11 @@ def load_archive(
                     with archive.open(entry) as array:
                         out[name] = parse_array(name, array, entry.file_size)
     except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
-        raise _bad(path, what, error, next_step) from None
+        reason = str(error).rstrip(".")
+        raise InputError(f"{path} is not a {what}, or is damaged: {reason}; {next_step}.") from None
     except (OSError, MemoryError, zlib.error) as error:
         raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
     return out
-
-
-def _bad(path: Path, what: str, reason: object, next_step: str) -> InputError:
-    """Make the InputError for a file that is not the expected archive."""
-    return InputError(f"{path} is not a {what}, or is damaged: {str(reason).rstrip('.')}; {next_step}.")
 
 
 @dataclass(frozen=True)
@@ -261,7 +257,7 @@ class Archive:
 
     def bad(self, path: Path, reason: object) -> InputError:
         """Make the InputError for a file that is not of this kind."""
-        return _bad(path, self.what, reason, self.next_step)
+        return InputError(f"{path} is not a {self.what}, or is damaged: {str(reason).rstrip('.')}; {self.next_step}.")
 
     def load(self, path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
         """Read the arrays and check them against the layout.

@@ -457,10 +457,10 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
     received = None if value.get("received") is None else _number(value["received"], "received")
     if joints is None:
         empty = np.zeros((0, 3))
-        return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
+        return SensorReport(str(sensor), time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     names = tuple(joints)
     _check_names(names)
-    return SensorReport(sensor, time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
+    return SensorReport(str(sensor), time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
 
 
 @lru_cache(maxsize=64)

@@ -667,8 +667,8 @@ class LivePeople:
         made = LiveTrack(
             found, number, self._rig, self._rate, options, self._executor, self._work, wants, not self.alone
         )
-        in_order = sorted([*self.people, made], key=lambda p: p.number)
-        self._session.people = [*in_order]
+        by_number = sorted((*self.people, made), key=lambda p: p.number)
+        self._session.people = [*by_number]
 
     def _look(self, frame: Frame) -> None:
         """Search another person in what the tracked people leave of the masks."""
