@@ -48,6 +48,8 @@ class Silhouettes:
         neither mask nor "no mask". None: all pixels have information.
     expected: where this person is expected; needed where pixels are ignored, because masks of several people do not
         show how tall one of them is.
+    owners: (C, h, w) for masks of several people: bit k of a pixel is set where it shows person k of its view; the
+        numbers differ between views and frames. None: unknown.
     """
 
     masks: NDArray[np.uint8]
@@ -56,6 +58,7 @@ class Silhouettes:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
+    owners: NDArray[np.uint8] | None = None
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
     """results that hypose.evidence.prefetch keeps for these masks, so that they are computed once; a copy starts
     without"""

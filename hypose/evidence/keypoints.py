@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -114,6 +115,18 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
     column = {n: i for i, n in enumerate(names)}
     parts = [n.partition("_") for n in names]
     return np.array([column.get(f"{other.get(side, side)}_{part}", i) for i, (side, _, part) in enumerate(parts)])
+
+
+def openpose_document(people: ArrayLike) -> dict[str, Any]:
+    """Convert people (P, K, 3), px and confidence, to OpenPose's JSON document; people without a confident point are
+    left out.
+    """
+    seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
+    return {
+        "version": 1.3,
+        "program": "hypose",
+        "people": [{"person_id": [-1], "pose_keypoints_2d": np.round(p, 3).ravel().tolist()} for p in seen],
+    }
 
 
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:

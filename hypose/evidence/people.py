@@ -29,8 +29,9 @@ from hypose.geometry import Array
 # Extract the evidence for one person from masks that show several people.
 #
 # Pixels that another person's body covers say nothing about this person: they are in the mask, no matter which of the
-# two is in front. In views without other people nearby, the masks are cut to where the person is expected, and all
-# pixels count.
+# two is in front. Where it is known whom each pixel shows (`Silhouettes.owners`), pixels of two people are those of the
+# nearer one by the bodies' depth, and those of the farther one alone are background for the nearer one. In views
+# without other people nearby, the masks are cut to where the person is expected, and all pixels count.
 
 
 SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
@@ -194,12 +195,36 @@ def _own_mask(
     mask[at] = silhouettes.masks[c][at]
     if near := [o for o in others if _meet(o, c, part)]:
         ignored = np.zeros_like(mask)
+        owners, (mine, own_depth) = silhouettes.owners, _owned(silhouettes, own, c)
         for one in near:
-            _hide(ignored, one.shape, c, one.widened, part)
+            theirs, depth = _owned(silhouettes, one.shape, c)
+            if owners is None or not mine or not theirs or mine == theirs:
+                _hide(ignored, one.shape, c, one.widened, part)
+            elif own_depth < depth:
+                mask[at] &= (owners[c][at] & (mine | theirs) != theirs).view(np.uint8)
+            else:
+                ignored[at] |= (owners[c][at] & theirs > 0).view(np.uint8)
         area = int(np.count_nonzero(own.drawn(c)))
     known = mask[at] if ignored is None else mask[at] > ignored[at]
     box = part if anywhere and y1 <= y0 else own.boxes[c]
     return mask, ignored, box, area, "" if known.any() else "no part of the person is visible"
+
+
+def _owned(silhouettes: Silhouettes, shape: StandingShape, c: int) -> tuple[int, float]:
+    """Find the bit of `Silhouettes.owners` whose pixels overlap most with a person's body in view c.
+
+    Returns: the bit, 0 where it is not known; median depth of the body, m.
+    """
+    if silhouettes.owners is None or not isinstance(shape, BodyShape):
+        return 0, 0.0
+    y0, y1, x0, x1 = shape.boxes[c].tolist()
+    drawn, owners = shape.drawn(c) > 0, silhouettes.owners[c]
+    best, most = 0, 0.0
+    for bit in (1, 2, 4, 8):
+        both = np.count_nonzero(drawn & (owners[y0:y1, x0:x1] & bit > 0))
+        share = both / max(np.count_nonzero(drawn) + np.count_nonzero(owners & bit) - both, 1)
+        best, most = (bit, share) if share > most else (best, most)
+    return best, float(np.median(shape._projected[1][c]))
 
 
 def _meet(other: Other, view: int, part: Sequence[int]) -> bool:

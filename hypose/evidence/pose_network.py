@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, Image
 
 CROP, DETECTOR = 256, 224
 """px: side of the networks' input pictures"""
-MASK_PROBABILITY = 0.5
-"""Probability from which a pixel of a crop is the person."""
-_LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
+_LEAST_PROBABILITY = 0.5
+"""Probability from which a square or a crop shows a person, and a pixel of a crop is the person."""
 _WIDER = 1.25
 """Half side of a crop in radii of the circle around the body."""
 _SAME, _NEARBY = 0.35, 0.5
@@ -29,7 +29,6 @@ _SAME, _NEARBY = 0.35, 0.5
 a person who is tracked already."""
 _PART = 0.75
 """Side of the parts of a picture that the detector processes, relative to the picture's shorter side."""
-_LOGIT = 30.0
 
 
 @dataclass(frozen=True)
@@ -75,43 +74,51 @@ class Sighting:
     following: Crop | None = None
 
 
-class DetectorOutput(NamedTuple):
-    """Output of the detector network.
+class PoseDetector(Protocol):
+    """Interface of a detector that finds people in the pictures of a view, one picture after the other."""
 
-    boxes: (2254, 12) offsets from the anchors, px.
-    scores: (2254,) logits.
-    """
+    @property
+    def keypoint_set(self) -> str:
+        """Name of the detector's set of key points, one of `hypose.evidence.keypoints.KEYPOINT_SETS`."""
+        ...
 
-    boxes: NDArray[np.float32]
-    scores: NDArray[np.float32]
+    @property
+    def identity(self) -> dict[str, Any]:
+        """All values that determine the detector's results, as JSON values: program, version, model, settings."""
+        ...
 
+    @property
+    def gives_masks(self) -> bool:
+        """Whether the detector finds masks as well as key points; then several threads may call it at once."""
+        ...
 
-class LandmarkOutput(NamedTuple):
-    """Output of the landmark network.
+    def look(self, image: Image, number: int, before: Sequence[Crop], /) -> list[Sighting]:
+        """Detect the people in a picture.
 
-    points: (39, 5) x, y px of the crop, z, logits of visibility and presence.
-    presence: probability of a person, 0..1.
-    mask: (CROP, CROP) logits.
-    """
-
-    points: NDArray[np.float32]
-    presence: float
-    mask: NDArray[np.float32]
+        image: (h, w, 3) BGR; pixel centres at integers.
+        number: number of the picture in the video.
+        before: expected places of the people of the previous picture.
+        Returns: one item per person found; empty where there is none. It must depend on these arguments alone, so
+            that interrupted work can be resumed.
+        """
+        ...
 
 
 @dataclass(frozen=True)
 class PoseNetwork:
     """Detector of points and masks of the people in consecutive pictures.
 
-    detect: (224, 224, 3) float32 RGB -1..1 -> DetectorOutput.
-    landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
+    detect: from (224, 224, 3) float32 RGB -1..1 to boxes (2254, 12), offsets from the anchors, px, and scores (2254,),
+        logits.
+    landmarks: from (256, 256, 3) float32 RGB 0..1 to points (39, 5) x, y px of the crop, z, logits of visibility and
+        presence; probability of a person; mask (CROP, CROP), logits.
     identity: everything that determines the result, as JSON values.
     people: largest number of people in a picture.
     every: number of pictures after which the detector searches for new people, even where a person is tracked.
     """
 
-    detect: Callable[[NDArray[np.float32]], DetectorOutput]
-    landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
+    detect: Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32]]]
+    landmarks: Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], float, NDArray[np.float32]]]
     identity: dict[str, Any]
     people: int = 4
     every: int = 10
@@ -152,18 +159,18 @@ class PoseNetwork:
         part = cv2.warpAffine(image, to_crop, (CROP, CROP), flags=cv2.INTER_LINEAR)
         given = np.asarray(cv2.cvtColor(part, cv2.COLOR_BGR2RGB)[None], dtype=np.float32) / np.float32(255)
         points, presence, mask = self.landmarks(given)
-        if not presence > _LEAST_PRESENCE:
+        if not presence > _LEAST_PROBABILITY:
             return None
         back = cv2.invertAffineTransform(to_crop)
         uv = points[:, :2].astype(np.float64) @ back[:, :2].T + back[:, 2]
         count, (height, width) = len(BLAZEPOSE_33), image.shape[:2]
-        score = sigmoid(points[:count, 3]) * sigmoid(points[:count, 4])
+        score = expit(points[:count, 3]) * expit(points[:count, 4])
         inside = ((uv[:count] > -1) & (uv[:count] < (width, height))).all(1)
         following = Crop(uv[count], uv[count + 1])
         if not 4 < following.radius < 4 * max(width, height):
             return None
         person = np.column_stack([uv[:count], np.where(inside, score, 0.0)])
-        return Sighting(person, sigmoid(mask), crop, following)
+        return Sighting(person, expit(mask), crop, following)
 
     def _detected(self, image: Image) -> list[Crop]:
         """Detect people in the picture and in parts of it; return their crops, the most certain first."""
@@ -189,7 +196,7 @@ class PoseNetwork:
         square[top : top + size[1], left : left + size[0]] = small[: DETECTOR - top, : DETECTOR - left]
         boxes, scores = self.detect(cv2.cvtColor(square, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 127.5 - 1)
         corner = np.array([max(x, 0) - left / scale, max(y, 0) - top / scale])
-        for k in np.flatnonzero(sigmoid(scores) > _LEAST_SCORE):
+        for k in np.flatnonzero(expit(scores) > _LEAST_PROBABILITY):
             hips, above = (DETECTOR * _ANCHORS[k] + boxes[k, n : n + 2].astype(np.float64) for n in (4, 6))
             crop = Crop((hips + 0.5) / scale - 0.5 + corner, (above + 0.5) / scale - 0.5 + corner)
             if crop.radius > 4:
@@ -232,18 +239,18 @@ def _apart(a: Crop, b: Crop) -> float:
     return float(np.linalg.norm(a.hips - b.hips)) / max(min(a.radius, b.radius), 1.0)
 
 
-def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Combine the people's masks into one mask (h, w); places: (h, w, 2) position of its pixels in the picture."""
-    out = np.zeros(places.shape[:2], np.float32)
-    for found in people:
+def owners_of_pixels(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Combine the people's masks into one picture (h, w), in which bit k of a pixel is set where it shows person k.
+
+    people: at most 8 people.
+    places: (h, w, 2) position of its pixels in the picture.
+    """
+    out = np.zeros(places.shape[:2], np.uint8)
+    for k, found in enumerate(people):
         if found.crop is None or found.mask is None:
             continue
         turn = found.crop.from_picture.astype(np.float32)
         at = places @ turn[:, :2].T + turn[:, 2]
-        out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
-    return np.asarray(out > MASK_PROBABILITY).astype(np.uint8)
-
-
-def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Compute 1 / (1 + exp(-x))."""
-    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT))), dtype=np.float32)
+        shown = cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0) > _LEAST_PROBABILITY
+        out |= np.left_shift(np.asarray(shown).astype(np.uint8), k)
+    return out

@@ -317,10 +317,9 @@ def check_writable(folder: str | Path, option: str = "--out") -> None:
 def cannot_write(path: Path, error: OSError) -> str:
     """Format the message for a file that the system does not allow to be written, or a full disk."""
     if error.errno in FULL:
-        try:
+        free = ""
+        with contextlib.suppress(OSError):
             free = f" ({shutil.disk_usage(path.parent).free / 1e6:.0f} MB free)"
-        except OSError:
-            free = ""
         return (
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
             "free some space and run the same command again, with --resume where it has that option."
@@ -370,15 +369,13 @@ class RecordingFolder:
         Raises: InputError where one was, because all rows written since then are lost.
         """
         for name, opened in self._tables.items():
-            try:
-                there = os.path.samestat(opened, os.stat(self.path / name))
-            except OSError:
-                there = False
-            if not there:
-                raise InputError(
-                    f"The recording is lost: {self.path / name} was removed or replaced while it was written; record "
-                    "again, to another folder."
-                )
+            with contextlib.suppress(OSError):
+                if os.path.samestat(opened, os.stat(self.path / name)):
+                    continue
+            raise InputError(
+                f"The recording is lost: {self.path / name} was removed or replaced while it was written; record "
+                "again, to another folder."
+            )
 
 
 # ---- text in -------------------------------------------------------------------------------------------------------

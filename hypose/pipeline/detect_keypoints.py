@@ -17,8 +17,8 @@ import numpy as np
 from hypose.cameras.camera import Camera
 from hypose.compute.threads import default_threads
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.detector import PoseDetector, openpose_document
-from hypose.evidence.pose_network import Crop, mask_of_people
+from hypose.evidence.keypoints import openpose_document
+from hypose.evidence.pose_network import Crop, PoseDetector, owners_of_pixels
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
@@ -51,7 +51,7 @@ def detect_keypoints(
     """Detect key points in every view of a recording and write them to a folder.
 
     Files: folder/VIEW/VIEW_FRAME_keypoints.json in pixels of the calibrated cameras, and, where the detector gives
-        masks, folder/VIEW/masks/FRAME.png, undistorted.
+        masks, folder/VIEW/masks/FRAME.png, undistorted: 256 - the sum of 2^k over the people k that a pixel shows.
     resume: skip frames that have a file.
     frames: frames to detect; default: all.
     progress: called with done, total after every picture; raising KeyboardInterrupt in it stops the run and keeps its
@@ -77,7 +77,7 @@ def detect_keypoints(
             for view, camera, into in zip(recording.views, recording.rig, small, strict=True)
         ]
         for lane in lanes:
-            stack.callback(lane.close)
+            stack.enter_context(lane.reader)
         # the user's own detector may not be thread-safe
         pool = stack.enter_context(ThreadPoolExecutor(default_threads() if detector.gives_masks else 1))
         for frame in wanted:
@@ -104,7 +104,7 @@ class _Lane:
     ) -> None:
         assert view.source is not None
         self._work, self._detector, self._view, self._camera = work, detector, view, camera
-        self._reader = open_video(view.source, 1, rate=view.rate)
+        self.reader = open_video(view.source, 1, rate=view.rate)
         self._before: tuple[int, list[Crop]] = -1, []
         folder_for(work.folder, view.name)
         if work.with_masks:
@@ -112,7 +112,7 @@ class _Lane:
             write_text(work.masks(view.name) / SIDECAR, json.dumps(size) + "\n")
             if work.frames.start and not work.file(view.name, 0).exists():  # files are counted from the first
                 write_text(work.file(view.name, 0), json.dumps(openpose_document([])) + "\n")
-        self._places = places_in_stored(camera, small.size, view.image_shift, self._reader.size)
+        self._places = places_in_stored(camera, small.size, view.image_shift, self.reader.size)
 
     def look(self, frame: int) -> bool:
         """Detect key points in a frame, unless its files exist; return whether a person is seen."""
@@ -123,23 +123,19 @@ class _Lane:
         number, before = self._before
         if work.with_masks and number != frame - 1 and frame:
             before = _crops(work.file(name, frame - 1))
-        people = self._detector.look(self._reader.read(frame), frame, before)
+        people = self._detector.look(self.reader.read(frame), frame, before)
         people = [f for f in people if (f.points[:, 2] > 0).any()]
         self._before = frame, [f.following for f in people if f.following is not None]
         if work.with_masks:
-            data = cv2.imencode(".png", 255 * mask_of_people(people, self._places))[1].tobytes()
+            data = cv2.imencode(".png", np.negative(owners_of_pixels(people, self._places)))[1].tobytes()
             write_bytes(work.mask(name, frame), data, synced=False)
         points = np.array([f.points for f in people])
-        document = openpose_document(_calibrated(points, self._reader.size, self._camera, self._view))
+        document = openpose_document(_calibrated(points, self.reader.size, self._camera, self._view))
         for person, found in zip(document["people"], people, strict=True):
             if found.following is not None:
                 person["following"] = [*found.following.hips.tolist(), *found.following.top.tolist()]
         write_text(path, json.dumps(document) + "\n")
         return bool(people)
-
-    def close(self) -> None:
-        """Release the video."""
-        self._reader.close()
 
 
 def _people(path: Path) -> list[dict[str, list[float]]]:

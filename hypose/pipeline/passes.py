@@ -472,7 +472,8 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
     evidence = known or evidence_of(audit)
     if subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
-        lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
+        weighed = subject.keypoints if evidence == "both" else replace(subject.keypoints, cue_weight=None)
+        lasting = systematic_covariance(subject.body, weighed, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))
     # covariances follow from the curvature of the cost
     p, joints = judged(motion, subject.body.joints(clip.one_by_one), audit, subject.unsure, known)

@@ -152,12 +152,9 @@ def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
     """Return whether at least two views show people side by side in a share of the frames larger than `often`."""
-    if not silhouettes:
-        return False
-    usable = np.array([s.usable for s in silhouettes])
     shown = [[u and _others_in_view(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
-    views = np.array(shown).sum(0) > often * np.maximum(usable.sum(0), 1)
-    return int(views.sum()) >= SETTINGS.several_views
+    usable = np.sum([s.usable for s in silhouettes], axis=0)
+    return int((np.sum(shown, axis=0) > often * np.maximum(usable, 1)).sum()) >= SETTINGS.several_views
 
 
 def _others_in_view(mask: NDArray[np.uint8]) -> int:

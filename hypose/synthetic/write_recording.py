@@ -18,7 +18,7 @@ from hypose.body.default_body import JOINT_NAMES
 from hypose.calibration.boards import Board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
-from hypose.evidence.detector import openpose_document
+from hypose.evidence.keypoints import openpose_document
 from hypose.geometry import Array, Image, se3, transform
 from hypose.io.file_names import file_name
 from hypose.io.files import atomic_path, write_text

@@ -115,7 +115,8 @@ def test_bad_folders_of_key_points_are_told_in_a_sentence(hypose, prepared, tmp_
     (recording / "keypoints").mkdir()
     (recording / "keypoints" / "detector.json").write_text("{")
     fails(hypose("track", recording), "is damaged")
-    (recording / "keypoints" / "detector.json").write_text(json.dumps({"keypoint_set": "X", "complete": True}))
+    said = {"keypoint_set": "X", "complete": True, "frames": [0, 5]}
+    (recording / "keypoints" / "detector.json").write_text(json.dumps(said))
     fails(hypose("track", recording, "--evidence", "keypoints"), "has none")  # no view has a folder there
 
 
@@ -215,4 +216,4 @@ def test_wrong_answers_are_named(tmp_path, answer):
     )
     detector = open_own_detector(f"{tmp_path}/mine.py:D")
     with pytest.raises(InputError, match=r"answers with .*; its set COCO_17 needs people x 17 x 3"):
-        detector.detect(np.zeros((4, 4, 3), np.uint8))
+        detector.look(np.zeros((4, 4, 3), np.uint8))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33
-from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, DetectorOutput, LandmarkOutput, PoseNetwork
+from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, PoseNetwork
 
 RADIUS = 40.0
 
@@ -28,7 +28,7 @@ class Discs:
             boxes[k, 4:6] = (x, y) - DETECTOR * _ANCHORS[k]
             boxes[k, 6:8] = boxes[k, 4:6] - (0, RADIUS * scale)
             scores[k] = 5 - n
-        return DetectorOutput(boxes, scores)
+        return (boxes, scores)
 
     def landmarks(self, picture):
         self.looked += 1
@@ -43,7 +43,7 @@ class Discs:
         points[1, 3] = -9
         rows, columns = np.indices((CROP, CROP))
         mask = np.where(np.hypot(columns - hips[0], rows - hips[1]) < CROP / 2.5, 9.0, -9.0)
-        return LandmarkOutput(points, presence, mask.astype(np.float32))
+        return (points, presence, mask.astype(np.float32))
 
 
 def picture(*hips, size=(320, 240)):
@@ -95,7 +95,7 @@ def test_a_person_who_leaves_the_picture(discs):
 
     def landmarks(crop):
         out = discs[0].landmarks(crop)
-        out.points[0, 0] = -40  # left of the picture
+        out[0][0, 0] = -40  # left of the picture
         return out
 
     (found,) = PoseNetwork(network.detect, landmarks, {}).look(picture((20, 120)), 0)

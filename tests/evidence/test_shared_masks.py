@@ -65,6 +65,23 @@ def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
         assert not own.ignored[c][at[:, 1], at[:, 0]].any()
 
 
+def test_pixels_of_two_known_people_are_the_nearer_ones(pair):
+    _, shapes, silhouettes = pair
+    depth = [[np.median(c.depths(shape.vertices)) for c in silhouettes.rig] for shape in shapes]
+    drawn = np.stack([masks_of([shape], silhouettes.rig).masks for shape in shapes])
+    known = replace(silhouettes, owners=drawn[0] + 2 * drawn[1])
+    for k in (0, 1):
+        own = own_frame(Frame(0.0, 0, known), shapes[k], [Other(shapes[1 - k])]).the(Silhouettes)
+        for c in range(len(known.rig)):
+            if not (drawn[0, c] & drawn[1, c]).any():
+                continue
+            if depth[k][c] < depth[1 - k][c]:
+                assert not own.shared[c] and (own.masks[c] == drawn[k, c]).all()
+            else:
+                assert not own.informative[c][drawn[1 - k, c] > 0].any()
+                assert own.informative[c][drawn[k, c] > drawn[1 - k, c]].all()
+
+
 def test_an_ignored_pixel_is_neither_a_hole_nor_a_body_in_the_hull():
     rig = ring(5)
     points = np.random.default_rng(0).normal(0, 1, (400, 3))

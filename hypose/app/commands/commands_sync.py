@@ -22,9 +22,9 @@ from hypose.calibration.synchronisation import (
     points_at,
 )
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.detector import openpose_document
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import undistorted
+from hypose.evidence.keypoints import openpose_document
 from hypose.geometry import Array
 from hypose.io.file_names import file_name, folder_for
 from hypose.io.files import check_writable, claimed, write_text

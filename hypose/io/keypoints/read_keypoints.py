@@ -300,8 +300,6 @@ KEYPOINT_FOLDER = "keypoints"
 """Folder of the detected key points in the recording's folder."""
 MASKS = "masks"
 _SIDECAR = "detector.json"
-ALL_FRAMES = 10**9
-"""Number of frames of a detection that does not state it; older ones covered all frames."""
 
 
 @dataclass(frozen=True)
@@ -365,7 +363,7 @@ def load_detected(folder: Path) -> DetectedKeypoints | None:
     try:
         identity = dict(read_json(path, "what hypose keypoints wrote"))
         points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
-        first, stop = identity.pop("frames", (0, ALL_FRAMES))
+        first, stop = identity.pop("frames")
         frames, masks = range(int(first), int(stop)), bool(identity.pop("masks", False))
     except (InputError, ValueError, KeyError, TypeError):
         raise InputError(

@@ -479,6 +479,12 @@ class FrameStream:
         collapsed = flag_collapsed(pending.areas(), history, self.rig.names, frame.index)
         why = [mask.reason or found for mask, found in zip(masks, collapsed, strict=True)]
         silhouettes = make_silhouettes([mask.runs for mask in masks], self.rig, why)
+        if self.options.people:
+            owners = np.zeros_like(silhouettes.masks)
+            for c, source in enumerate(self._sources):
+                found = source.owners(frame.index)
+                owners[c, : found.shape[0], : found.shape[1]] = found
+            silhouettes = replace(silhouettes, owners=owners)
         make_ahead(silhouettes, pending.outlines)
         colours = _colours(masks, silhouettes.masks.shape) if self.options.colours else None
         return replace(frame, silhouettes=silhouettes, colours=colours)

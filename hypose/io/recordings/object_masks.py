@@ -33,6 +33,7 @@ from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,
     evenly_spread,
+    frame_size,
     list_images,
     open_video,
     read_image,
@@ -153,7 +154,7 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
             name: {n - first: f for n, f in zip(numbers[name], files, strict=True) if n is not None}
             for name, files in listed.items()
         }
-    shape = read_image(next(f for files in listed.values() for f in files)).shape
+    size = frame_size(folders[0])
 
     def load(frame: int) -> Objects:
         out = {}
@@ -161,14 +162,14 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
             if frame in files:
                 image, _ = _decoded(files[frame])
                 mask = as_mask(read_image(files[frame]) if image is None else image, str(files[frame]))
-                if mask.shape != shape[:2]:
+                if mask.shape[::-1] != size:
                     raise InputError(f"{files[frame]} has another size than the other masks of {path}.")
                 if mask.any():
                     out[name] = mask
         return out
 
     frames = 1 + max(max(files) for files in by_frame.values())
-    return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load, first)
+    return ObjectMasks(path, size, frames, tuple(listed), load, first)
 
 
 def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
@@ -194,13 +195,11 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
         white = areas[levels[-1]] if levels[-1] > 0.9 * full else 0
         if set(levels) <= {127, 128, full} or sum(areas.values()) < 1.5 * white:
             return None
-    first, _ = _labels(images[0])
-    assert first is not None
-    size = (first.shape[1], first.shape[0])
+    size = frame_size(images[0])
 
     def load(frame: int) -> Objects:
         values, _ = _labels(images[frame])
-        if values is None or values.shape != first.shape:
+        if values is None or values.shape[::-1] != size:
             raise InputError(f"{images[frame]} is no image of labels like the others of {path}; write it again.")
         return {str(v): (values == v).astype(np.uint8) for v in np.unique(values).tolist() if v}
 

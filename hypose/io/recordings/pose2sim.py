@@ -167,9 +167,9 @@ def _merged_config(folder: Path) -> dict[str, Any]:
 
 def _find_calibration(folder: Path) -> Path:
     looked = [found for level in _levels(folder) if (found := _calibration_folder(level)) is not None]
-    calibration = next((path for place in looked if (path := find_calibration(place)) is not None), None)
-    if calibration is not None:
-        return calibration
+    for path in map(find_calibration, looked):
+        if path is not None:
+            return path
     where = " and ".join(map(str, looked)) if looked else f"{folder} (it has no calibration folder)"
     raise InputError(
         f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate first."

@@ -151,8 +151,7 @@ def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | 
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
             raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
         types = known[key]
-        right = isinstance(value, types) and (types is bool or not isinstance(value, bool))
-        if not right:
+        if not isinstance(value, types) or (types is not bool and isinstance(value, bool)):
             wanted = _TYPE_NAMES[types] if isinstance(types, type) else "a number"
             raise InputError(f"{where}: {key} must be {wanted}, got {value!r}; correct it.")
         if isinstance(value, float) and not np.isfinite(value):
@@ -341,10 +340,8 @@ class Recording:
     @property
     def inputs(self) -> dict[str, Path]:
         """All input files and folders by a descriptive name, for the provenance."""
-        out = {"calibration": self.calibration} if self.calibration else {}
-        for view in self.views:
-            out |= {f"{view.name}.{kind}": path for kind, path in view.files.items()}
-        return out
+        files = {f"{view.name}.{kind}": path for view in self.views for kind, path in view.files.items()}
+        return files if self.calibration is None else {"calibration": self.calibration, **files}
 
 
 def load_recording(path: str | Path, calibration: str | Path | None = None, *, uncalibrated: bool = False) -> Recording:

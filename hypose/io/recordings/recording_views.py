@@ -266,8 +266,8 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_Clip]], n
                     f"frame {clip.n_frames - 1}; it is cut off or damaged, or its program stated too many: copy it "
                     "again if more was recorded."
                 )
-        if any(c.n_frames == 0 for c in found):
-            raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
+            if clip.n_frames == 0:
+                raise InputError(f"View {view.name}: {clip.path} has no frames; record or copy it again.")
     low, high = min(counts.values()), max(counts.values())
     if high - low > 2:
         said = ", ".join(f"{n} {c}" for n, c in counts.items())

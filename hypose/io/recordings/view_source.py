@@ -250,6 +250,7 @@ class _MaskSource:
 
     Attributes:
     objects: masks of several objects; None where the masks do not separate objects.
+    numbered: files of a folder written by `write_masks`, by frame.
     """
 
     def __init__(self, view: ViewSettings, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
@@ -257,7 +258,7 @@ class _MaskSource:
         self._stored = stored_numbers(view)
         made_here = (path / SIDECAR).is_file()
         self._reader = None if made_here else open_masks(path, view.first_mask)
-        self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()} if made_here else {}
+        self.numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()} if made_here else {}
         self.objects = self._reader if isinstance(self._reader, ObjectMasks) else None
         self.person = lru_cache(maxsize=1)(self._person)
 
@@ -267,9 +268,9 @@ class _MaskSource:
         Raises: InputError where there is none.
         """
         if self._reader is None:
-            if frame not in self._numbered:
+            if frame not in self.numbered:
                 raise InputError(f"{self.path} holds no mask of frame {frame}.")
-            mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
+            mask = as_mask(read_image(self.numbered[frame]), str(self.numbered[frame])) * np.uint8(255)
             if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         else:
@@ -326,6 +327,13 @@ class ViewSource:
         the visible area of these things, m^2; (None, 0) for other cameras.
         """
         return self.depth.furnished if self.depth else (None, 0.0)
+
+    def owners(self, frame: int) -> NDArray[np.uint8]:
+        """Read the people whom each pixel (h, w) of a frame shows, as `Silhouettes.owners`; (0, 0) where unknown."""
+        if self._masks is None or frame not in self._masks.numbered:
+            return np.zeros((0, 0), np.uint8)
+        found = np.negative(read_image(self._masks.numbered[frame])[..., 0])  # see hypose.pipeline.detect_keypoints
+        return np.asarray(cv2.resize(found, self.prepare.size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
     def image(self, frame: int) -> Image:
         """Read the undistorted picture (h, w, 3) BGR of a frame at working size.

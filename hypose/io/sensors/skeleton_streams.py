@@ -455,7 +455,7 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
         raise InputError(found[0])
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
-    if joints is None:
+    if not isinstance(joints, dict):  # null: no person is seen
         empty = np.zeros((0, 3))
         return SensorReport(str(sensor), time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     names = tuple(joints)

@@ -18,10 +18,9 @@ from hypose.compute import packed_masks
 from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.detector import PoseDetector
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed, view_outline
-from hypose.evidence.pose_network import Crop, mask_of_people
+from hypose.evidence.pose_network import Crop, PoseDetector, owners_of_pixels
 from hypose.evidence.silhouettes import (
     Segmenter,
     SilhouetteSettings,
@@ -163,7 +162,7 @@ class NetworkBackground:
             self._places[stored] = places_in_stored(self._camera, self._small, self._shift, stored)
         people = self._network.look(image, self._number, self._before)
         self._number, self._before = self._number + 1, [p.following for p in people if p.following is not None]
-        mask = mask_of_people(people, self._places[stored])
+        mask = np.minimum(owners_of_pixels(people, self._places[stored]), 1)
         return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
 
 

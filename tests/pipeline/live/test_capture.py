@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.background import from_frames
-from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
+from hypose.evidence.pose_network import CROP, PoseNetwork
 from hypose.pipeline.live.capture import CaptureOptions, CaptureProcess, CaptureRequest, LiveView
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
@@ -130,7 +130,7 @@ def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tm
     scores[1100], points[34, 1] = 9, CROP / 4
     boxes, mask = np.zeros((2254, 12), np.float32), np.full((CROP, CROP), 9, np.float32)
     boxes[:, 7] = -60
-    network = PoseNetwork(lambda _: DetectorOutput(boxes, scores), lambda _: LandmarkOutput(points, 0.9, mask), {})
+    network = PoseNetwork(lambda _: (boxes, scores), lambda _: (points, 0.9, mask), {})
     monkeypatch.setattr("hypose.pipeline.live.capture.open_network", lambda: network)
     views = [LiveView(c.name, folder(tmp_path / c.name, (160, 120), rng)) for c in cameras]
     captured = looked(begun(cameras, views, CaptureOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
