@@ -43,12 +43,12 @@ def test_the_files_of_a_result_are_of_the_recorded_motion(tracked, tiny):
 
 
 def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
-    code, out, err = hypose("track", tiny, "--out", tmp_path, "--frames", "2:5", *LIGHT)
+    code, out, err = hypose("track", tiny, "--out", tmp_path, "--frames", "1:4", *LIGHT)
     assert code == 0, err
     assert re.search(r"3 frames in 4 views, 0 lost, 0 extrapolated, mean IoU 0\.\d+", out)
     assert str(tmp_path / "report.html") in out
     assert "Track: 3/3" in err
-    assert load_motion(tmp_path / "motion.npz").provenance["settings"]["frames"] == [2, 5]
+    assert load_motion(tmp_path / "motion.npz").provenance["settings"]["frames"] == [1, 4]
     assert not (tmp_path / "overlay.webm").exists() and not (tmp_path / "motion.c3d").exists()
 
 
