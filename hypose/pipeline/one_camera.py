@@ -31,7 +31,7 @@ from hypose.calibration.findings import REVIEW, Finding
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.body_parts import detect_ends, end_colors
-from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
+from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhouettes
 from hypose.evidence.keypoints import person_size
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
@@ -51,16 +51,6 @@ if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.view_source import ViewSource
-
-
-class FrameSource(Protocol):
-    """Protocol of a source of frames by number: hypose.io.recordings.frames.FrameStream, or a synthetic scene."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index, 0 <= index < len."""
-        ...
 
 
 @runtime_checkable
