@@ -123,6 +123,7 @@ def benchmarks() -> dict[str, dict[str, Benchmark]]:
         "body": {
             "": Benchmark(body_measures.anthropometry, "seeds", "data"),
             "real": Benchmark(body_measures.subject_balancing, "data"),
+            "layered": Benchmark(body_measures.layered, "seeds", "first_seed"),
         },
         "fusion": {
             "table-1": Benchmark(sensor_choice.table_1, "seeds", "first_seed", "data"),

@@ -14,7 +14,7 @@ from hypose.evidence.frame import Silhouettes as Silhouettes
 from hypose.evidence.terms import PointTerm as PointTerm
 from hypose.evidence.terms import RowTerm as RowTerm
 from hypose.fusion.fuse import fuse_clip as fuse_clip
-from hypose.fusion.live import LiveFuser as LiveFuser
+from hypose.fusion.people import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels
 from hypose.inference import resampling as resampling
 from hypose.inference.annealing import FixedAnnealingRate as FixedAnnealingRate
@@ -39,8 +39,8 @@ from hypose.io.sensors.skeleton_files import read_skeletons as read_skeletons
 from hypose.pipeline.gesture_files import load_model as _load_gesture_model
 from hypose.pipeline.run import TrackResult as TrackResult
 from hypose.pipeline.run import load_tracked as _load_result
+from hypose.pipeline.sources import FrameList as FrameList
 from hypose.pipeline.track import track as track
-from hypose.pipeline.track_loop import FrameList as FrameList
 from hypose.pipeline.track_options import TrackOptions as TrackOptions
 from hypose.synthetic.scenes import make_scene as make_scene
 from hypose.tracking.frame_evidence import SilhouetteXor as SilhouetteXor

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import ast
 import inspect
+import sys
 from collections.abc import Iterator
 from html import escape
 from typing import NamedTuple
 
 import grimp
 
-from hypose.pipeline import passes
+from hypose.pipeline import input_checks, passes
 
 BEFORE = (
     ("hypose.io.recordings.recording", "Read recording.toml and the calibration: Recording."),
@@ -23,7 +24,7 @@ BEFORE = (
 AFTER = (("hypose.io.motions.export", "Write motion files."),)
 ROOMS = ("io", "evidence", "calibration", "tracking", "inference", "fitting", "body", "cameras", "compute")
 """Rooms in the picture's columns; errors, geometry and json_text are used nearly everywhere."""
-_BASICS = ("hypose.body", "hypose.errors", "hypose.geometry", "hypose.pipeline.settings", "hypose.pipeline.trace")
+_BASICS = ("hypose.body", "hypose.errors", "hypose.geometry", "hypose.pipeline.settings")
 """What nearly every pass uses: not named as the modules of a pass."""
 
 _ROW, _TOP, _BOX, _LEFT, _STEP = 48, 118, 500, 16, 40
@@ -48,12 +49,12 @@ class Step(NamedTuple):
 
 def steps() -> Iterator[Step]:
     """Yield the steps from the recording's files to the motion's."""
-    tree = ast.parse(inspect.getsource(passes))
-    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    imported = _imported(tree)
     for module, caption in BEFORE:
         yield Step("", caption, (module,))
-    for one in passes.PASSES:
+    for one in (*input_checks.CHECKED, *passes.AFTER_TRACKING):
+        tree = ast.parse(inspect.getsource(sys.modules[one.__module__]))
+        functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+        imported = _imported(tree)
         names = _names(functions[one.__name__], functions)
         modules = dict.fromkeys(imported[n] for n in names if n in imported)
         modules = tuple(m for m in modules if not m.startswith(_BASICS))
@@ -70,9 +71,7 @@ def _imported(tree: ast.Module) -> dict[str, str]:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hypose"):
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
-                out[alias.asname or alias.name] = (
-                    whole if inspect.ismodule(getattr(passes, alias.asname or alias.name, None)) else node.module
-                )
+                out[alias.asname or alias.name] = whole if whole in sys.modules else node.module
     return out
 
 

@@ -55,7 +55,7 @@ class _Servers:
 
         studio.jobs.start = studio.jobs.resume = no_jobs  # type: ignore[method-assign]
         self.studio = studio
-        self.live = LiveServer(FusionServerOptions(udp=0, ws=0, token=_TOKEN, lines_per_s=1e6))
+        self.live = LiveServer(FusionServerOptions(udp=0, ws=0, token=_TOKEN))
         listening, port = threading.Event(), open_port("127.0.0.1", 0)
         self.port = port.getsockname()[1]
 

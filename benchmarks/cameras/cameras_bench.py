@@ -30,8 +30,8 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import CARRIERS, population_offsets, with_offsets
 

@@ -21,8 +21,8 @@ from hypose.errors import HyposeError
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
 from hypose.pipeline.gait import Gait, GaitEvent, facing_of, gait_of, turns
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import JOINT_NAMES
 

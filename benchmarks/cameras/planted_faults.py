@@ -70,7 +70,7 @@ def observe(scene: Scene, noise_px: float | None, scale: float = 0.5) -> Observe
             masks.append(frame.silhouettes)
         if t >= rows[-1]:
             break
-    points = None
+    points = np.zeros((len(scene.rig), 0, 0, 3))
     if noise_px is not None:
         points = np.stack(
             [keypoint_detections(scene, c, noise_px)[rows[0] : rows[-1] + 1] for c in range(len(scene.rig))]

@@ -72,7 +72,7 @@ def sync(options: BenchOptions) -> BenchReport:
             rig = scene.rig.pinhole()
             for name, evidence in (
                 ("keypoints", (points, ())),
-                ("silhouettes", (None, masks)),
+                ("silhouettes", ((np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 0))), masks)),
                 ("both", (points, masks)),
             ):
                 found = offsets_from_motion(rig, *evidence).frames

@@ -30,8 +30,7 @@ from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt
@@ -42,8 +41,8 @@ from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import live_rig
-from hypose.pipeline.run import track_people, track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people, track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets

@@ -165,13 +165,11 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     hard = bool({cells[header.index("Scenario_Id")] for _, cells in rows} & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
         people, *_ = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
-    words = [p.assessment.word for p in people]
+    words = [assessment.word for _, assessment in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
     found.setdefault(("untrusted", case, "share"), []).append(float(UNTRUSTED in words))
-    low_confidence = [
-        p.motion.low_confidence[~p.motion.lost].mean() for p in people if p.motion.low_confidence is not None
-    ]
+    low_confidence = [m.low_confidence[~m.lost].mean() for m, _ in people if m.low_confidence is not None]
     found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(low_confidence)))
 
 

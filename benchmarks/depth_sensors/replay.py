@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from hypose.evidence.frame import SensorReport
-from hypose.fusion.live import LiveFrame, LiveFuser
+from hypose.fusion.people import LiveFrame, LiveFuser
 
 
 def replay(
@@ -31,7 +31,7 @@ def replay(
 
     for r in reports:
         arrival = r.time if r.arrival is None else r.arrival
-        while (due := fuser.due()) < arrival:
+        while (due := fuser.aligner.due()) < arrival:
             work(due + 1e-9, fuser.poll)
 
         def take(now: float, r: SensorReport = r) -> list[LiveFrame]:

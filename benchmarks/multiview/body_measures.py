@@ -5,30 +5,39 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
-from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, track_scene
+from benchmarks.multiview.action_scenes import action_scene, known_subject, subject_of_seed, track_scene
 from benchmarks.multiview.real_recordings import FirstFrames, against_keypoints, balancing_recording
+from benchmarks.papers.layered_anthropometry import BETAS, K, anthropometry_recipe, powell_start, shape_energy
 from benchmarks.synthetic.noisy_masks import noisy_scene
-from hypose.body.anthropometry import Sizes, measure, sizes_of
+from hypose.body.anthropometry import Sizes, body_of, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.compute.parts import covered
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import search, stream
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.first_frame import TrackedSubject, first_start
-from hypose.pipeline.run import track_source
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
+from hypose.pipeline.subject import (
+    AnthropometryOptions,
+    SubjectEstimate,
+    TrackedSubject,
+    estimate_subject,
+    first_start,
+)
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.frame_evidence import keypoint_model, prepare
+from hypose.tracking.start_search import scaled_to_height
 
 SCALE = 0.5
 """Masks are made at this share of the cameras' size (320 x 240)."""
@@ -219,6 +228,39 @@ def _gain_rows(found: list[dict[str, tuple[float, float]]]) -> list[Row]:
         rows.append(row("tracking_error_mm", f"template/{action}", 1e3 * both[:, k, 0], "mm"))
         rows.append(row("tracking_error_mm", f"fitted/{action}", 1e3 * both[:, k, 1], "mm"))
     return rows
+
+
+def layered(options: BenchOptions) -> BenchReport:
+    """Bodies by the thesis' own method (Alcoverro 2014, 2.3.3 and 2.3.4), from one frame of a held, known pose of a
+    dressed subject: the template, Powell's start from it, and the layered filter of Table 2.2 from Powell's start, by a
+    survival rate and with the printed exponents.
+
+    Scenes as the case one_pose of `anthropometry`, masks at half size. The pose is that of the true joints on the
+    template. segment_error_cm, girth_error_pct: means over segments and parts; energy: eq. 2.8 of the body and pose.
+    """
+    seeds = options.seed_range(20)
+    found: dict[str, list[tuple[dict[str, float], float]]] = {}
+    for n, seed in enumerate(seeds):
+        options.progress(f"seed {seed}", n, len(seeds))
+        scene = pose_scene(subject_of_seed(seed), seed)
+        template = human()
+        frame = prepare(next(iter(scene.mask_frames(SCALE))), template, known_subject(scene, template).start)
+        states = {"template": np.concatenate([np.zeros(K), frame.prediction])}
+        states["powell"] = powell_start(template, frame.prediction, frame)
+        for case, betas in (("filter", None), ("filter, printed beta", BETAS)):
+            how = anthropometry_recipe(template, betas=betas)
+            around = Hypotheses.uniform(np.repeat(states["powell"][None], how.particles, 0))
+            states[case] = search(around, how, frame, partial(stream, seed, 0)).estimate
+        for case, state in states.items():
+            errors = size_errors(body_of(template, state[:K]), scene.subject)
+            found.setdefault(case, []).append((errors, shape_energy(template, state, frame)))
+    rows = []
+    for case, of in found.items():
+        for metric, kind, unit in (("segment_error_cm", "length/", "cm"), ("girth_error_pct", "girth/", "pct")):
+            means = [np.mean([v for k, v in errors.items() if k.startswith(kind)]) for errors, _ in of]
+            rows.append(row(metric, case, means, unit))
+        rows.append(row("energy", case, [energy for _, energy in of], "1"))
+    return BenchReport(tuple(rows), {"seeds": list(seeds), "rig": "ring-5", "corruption": "level-1", "scale": SCALE})
 
 
 def subject_balancing(options: BenchOptions) -> BenchReport:

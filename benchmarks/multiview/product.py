@@ -10,10 +10,9 @@ from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import track_source
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.subject import AnthropometryOptions, SubjectOptions, estimate_subject, find_subject
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene

@@ -18,8 +18,8 @@ from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.pipeline.assessment import GOOD
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.motions import Take, sample_times

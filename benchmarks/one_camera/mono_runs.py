@@ -14,7 +14,8 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array, Image, so3_turns
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.error_model import probability_by_spread
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.recipe import WholeClip, backward_estimates, information, picture_recipe, together
 from hypose.tracking.monocular.settings import MonoSettings
@@ -36,7 +37,8 @@ KEPT_MEDIAN_M."""
 class MonoRun:
     """T frames after the first, M marks. errors, depth (T, M) m: distance of the best hypothesis to the truth, and its
     part along the line of sight; pixels (T, M): distance in the image; oracle (T,) m: mean error of the best of all
-    modes; inside, inside_best (T, M): the truth lies in the LEVEL region of any mode, of the best hypothesis;
+    modes; inside (T, M): the truth lies in the LEVEL region of any mode; wrong_p (T, M): probability that the best
+    hypothesis is more than WRONG_M off, by its covariance;
     mode_count (T,); seconds (T,) of the processor."""
 
     scene: str
@@ -46,7 +48,7 @@ class MonoRun:
     pixels: Array
     oracle: Array
     inside: Array
-    inside_best: Array
+    wrong_p: Array
     mode_count: Array
     seconds: Array
 
@@ -98,9 +100,9 @@ def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image
     rows = []
     for i in range(n):
         apart, depth, shown = _errors(scene, poses[i : i + 1], 1 + i)
-        inside = _inside(scene, poses[i], covariances[i], apart[0])
+        inside, p = _inside(scene, poses[i], covariances[i], apart[0])
         distance = np.linalg.norm(apart[0], axis=-1)
-        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, there[i][1] + back[i][1]))
+        rows.append((distance, depth, shown, distance.mean(), inside, p, 1, there[i][1] + back[i][1]))
     return _frame_after_frame(scene, there), _run(scene, rows)
 
 
@@ -130,7 +132,7 @@ def _tracker_and_frames(
         picture = Picture(scene.camera, image)
         frames.append(Frame(float(scene.performance.times[i]), i, keypoints=seen, picture=picture))
     search = PictureSearch(
-        scene.body, settings, scene.active, threads=1, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
+        scene.body, settings, scene.active, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
     )
     return Tracker(scene.body, picture_recipe(search), TrackerSettings("both", frame_rate=FRAME_RATE)), frames
 
@@ -161,10 +163,10 @@ def _frame_after_frame(scene: MonoScene, estimates: Rows) -> MonoRun:
         poses, covariances = modes.poses[0], modes.covariances[0]
         apart, depth, shown = _errors(scene, poses, i)
         distance = np.linalg.norm(apart, axis=-1)
-        inside = np.stack([_inside(scene, *pair) for pair in zip(poses, covariances, apart, strict=True)])
+        inside, p = zip(*[_inside(scene, *pair) for pair in zip(poses, covariances, apart, strict=True)], strict=True)
         oracle = distance.mean(1).min()
-        anywhere = np.asarray(inside.any(0))
-        rows.append((distance[0], depth, shown, oracle, anywhere, inside[0], int(modes.alive[0]), seconds))
+        anywhere = np.any(inside, axis=0)
+        rows.append((distance[0], depth, shown, oracle, anywhere, p[0], int(modes.alive[0]), seconds))
     return _run(scene, rows)
 
 
@@ -187,8 +189,9 @@ def _errors(scene: MonoScene, poses: Array, index: int) -> tuple[Array, Array, A
     return apart, np.abs((apart[0] * sight).sum(1)), np.linalg.norm(shown, axis=1)
 
 
-def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> Array:
-    """(M,) bool: errors (M, 3) m of one mode's marks lie in their LEVEL regions."""
+def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> tuple[Array, Array]:
+    """(M,) bool: errors (M, 3) m of one mode's marks lie in their LEVEL regions; (M,) probability, by its covariance,
+    that each is above WRONG_M."""
     s = scene.body.skeleton
     joint = [m.joint for m in scene.marks]
     jacobian = s.joint_jacobians(pose)
@@ -202,4 +205,4 @@ def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> A
             at[k, :, 3:6] = at[k, :, 3:6] @ so3_turns(pose[3:6])
     spread = at @ covariance @ np.swapaxes(at, 1, 2) + DEFINITION_SD_M**2 * np.eye(3)
     squared = (apart * np.linalg.solve(spread, apart[..., None])[..., 0]).sum(1)
-    return squared <= chi2.ppf(LEVEL, 3)
+    return squared <= chi2.ppf(LEVEL, 3), probability_by_spread(spread)

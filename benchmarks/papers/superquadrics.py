@@ -1,4 +1,4 @@
-"""Superquadric parts: tapered and bent superellipsoids, their nodes with derivatives, and a body made of them.
+"""Superquadric parts: tapered and bent superellipsoids, their nodes, and a body made of them.
 
 A part has nine parameters x_d: semi-axes a1, a2, a3 (m, a3 along the bone), the exponents e1 (along) and e2 (around),
 tapers t1, t2 of the two cross axes along the bone, and a circular bend of curvature k (1/m) in the plane at angle alpha
@@ -49,68 +49,36 @@ def grid(rings: int = RINGS, sectors: int = SECTORS) -> tuple[Array, NDArray[np.
     return angles, np.array(faces, dtype=np.int32)
 
 
-def nodes(parameters: ArrayLike, angles: Array) -> tuple[Array, Array]:
-    """Nodes (N, 3) m of a part in its own frame (origin at its middle, third axis along the bone) and their derivatives
-    (N, 3, 9) with respect to the parameters (9,), at angles (N, 2) of `grid`: D of equation (1)."""
+def nodes(parameters: ArrayLike, angles: Array) -> Array:
+    """Nodes (N, 3) m of a part in its own frame (origin at its middle, third axis along the bone), from its parameters
+    (9,), at angles (N, 2) of `grid`: D of equation (1)."""
     x_d = np.asarray(parameters, dtype=np.float64)
     if x_d.shape != (9,) or not (x_d[:5] > 0).all():
         raise InputError(f"A part has nine parameters {', '.join(PARAMETERS)}, the first five above 0, got {x_d}.")
     a1, a2, a3, e1, e2, t1, t2, k, alpha = x_d
-    (ce, lce), (se, lse) = _power(np.cos(angles[:, 0]), e1), _power(np.sin(angles[:, 0]), e1)
-    (co, lco), (so, lso) = _power(np.cos(angles[:, 1]), e2), _power(np.sin(angles[:, 1]), e2)
-    zero = np.zeros_like(ce)
-    # superellipsoid and taper: rows are d/dx_d of the three coordinates
-    wide1, wide2 = 1 + t1 * se, 1 + t2 * se
-    x, y, z = a1 * ce * co, a2 * ce * so, a3 * se
-    tapered = np.stack([wide1 * x, wide2 * y, z], -1)
-    dx = [wide1 * ce * co, zero, zero, (wide1 * lce + t1 * se * lse) * x, wide1 * x * lco, se * x, zero, zero, zero]
-    dy = [zero, wide2 * ce * so, zero, (wide2 * lce + t2 * se * lse) * y, wide2 * y * lso, zero, se * y, zero, zero]
-    dz = [zero, zero, se, z * lse, zero, zero, zero, zero, zero]
-    jacobian = np.stack([np.stack(d, -1) for d in (dx, dy, dz)], 1)
-    return _bend(tapered, jacobian, k, alpha)
+    along, height = _power(np.cos(angles[:, 0]), e1), _power(np.sin(angles[:, 0]), e1)
+    x = (1 + t1 * height) * a1 * along * _power(np.cos(angles[:, 1]), e2)
+    y = (1 + t2 * height) * a2 * along * _power(np.sin(angles[:, 1]), e2)
+    return _bend(np.stack([x, y, a3 * height], -1), k, alpha)
 
 
-def _bend(p: Array, jacobian: Array, k: float, alpha: float) -> tuple[Array, Array]:
-    """Points (N, 3) and derivatives (N, 3, 9) after a bend of curvature k in the plane at angle alpha: with g = k z and
-    r the coordinate in that plane, r moves to r cos g + (1 - cos g) / k and z to sin g (1 / k - r)."""
+def _bend(p: Array, k: float, alpha: float) -> Array:
+    """Points (N, 3) after a bend of curvature k in the plane at angle alpha: with g = k z and r the coordinate in that
+    plane, r moves to r cos g + (1 - cos g) / k and z to sin g (1 / k - r)."""
     u, v = np.cos(alpha), np.sin(alpha)
     x, y, z = p.T
     g = k * z
-    r = u * x + v * y
     small = np.abs(g) < _SERIES
-    safe = np.where(small, 1.0, g)
-    sine, cosine = np.sin(g), np.cos(g)
-    # sin g / g, (1 - cos g) / g and their derivatives with respect to g
-    s = np.where(small, 1 - g**2 / 6, np.sin(safe) / safe)
-    c = np.where(small, g / 2 - g**3 / 24, (1 - np.cos(safe)) / safe)
-    ds = np.where(small, -g / 3, (np.cos(safe) - np.sin(safe) / safe) / safe)
-    dc = np.where(small, 0.5 - g**2 / 8, (np.sin(safe) - (1 - np.cos(safe)) / safe) / safe)
-    shift = z * c - r * (1 - cosine)
-    out = np.stack([x + u * shift, y + v * shift, z * s - r * sine], -1)
-    shift_r, shift_z, shift_k = -(1 - cosine), c + g * dc - k * r * sine, z * z * dc - r * z * sine
-    up_r, up_z, up_k = -sine, s + g * ds - k * r * cosine, z * z * ds - r * z * cosine
-    # chain rule through x, y, z
-    dr = u * jacobian[:, 0] + v * jacobian[:, 1]
-    d_shift = shift_r[:, None] * dr + shift_z[:, None] * jacobian[:, 2]
-    d_shift[:, 7] += shift_k
-    d_up = up_r[:, None] * dr + up_z[:, None] * jacobian[:, 2]
-    d_up[:, 7] += up_k
-    # the plane itself turns: dr / dalpha = -v x + u y
-    turn = -v * x + u * y
-    d_shift[:, 8] += shift_r * turn
-    d_up[:, 8] += up_r * turn
-    dx, dy = jacobian[:, 0] + u * d_shift, jacobian[:, 1] + v * d_shift
-    dx[:, 8] -= v * shift
-    dy[:, 8] += u * shift
-    return out, np.stack([dx, dy, d_up], 1)
+    safe, r = np.where(small, 1.0, g), u * x + v * y
+    sine = np.where(small, 1 - g**2 / 6, np.sin(safe) / safe)
+    cosine = np.where(small, g / 2 - g**3 / 24, (1 - np.cos(safe)) / safe)
+    shift = z * cosine - r * (1 - np.cos(g))
+    return np.stack([x + u * shift, y + v * shift, z * sine - r * np.sin(g)], -1)
 
 
-def _power(c: Array, exponent: float) -> tuple[Array, Array]:
-    """sign(c) |c|^e and log |c| (0 where c is 0, because its product with the power is 0 there)."""
-    size = np.abs(c)
-    size = np.where(size < 1e-12, 0.0, size)
-    logarithm = np.log(np.where(size > 0, size, 1.0))
-    return np.sign(c) * size**exponent, logarithm
+def _power(c: Array, exponent: float) -> Array:
+    """sign(c) |c|^exponent; 0 where c is 0 up to rounding."""
+    return np.sign(c) * np.where(np.abs(c) < 1e-12, 0.0, np.abs(c)) ** exponent
 
 
 @dataclass(frozen=True)
@@ -178,7 +146,7 @@ def superquadric_body(body: Body, rings: int = RINGS, sectors: int = SECTORS) ->
     parts = fit_parts(body)
     angles, faces = grid(rings, sectors)
     n = len(angles)
-    vertices = [p.place(nodes(p.parameters, angles)[0]) + body.skeleton.rest_joints[p.joint] for p in parts]
+    vertices = [p.place(nodes(p.parameters, angles)) + body.skeleton.rest_joints[p.joint] for p in parts]
     index = np.zeros((n * len(parts), 4), dtype=np.int32)
     weight = np.zeros((n * len(parts), 4))
     index[:, 0], weight[:, 0] = np.repeat([p.joint for p in parts], n), 1.0

@@ -21,8 +21,9 @@ from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackResult, track_people
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.run import TrackResult
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance

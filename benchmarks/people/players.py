@@ -21,12 +21,12 @@ from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.run import TrackResult, track_people
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.run import TrackResult
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Corruptions, Scene, make_scene
 
 SECONDS, RATE = 4.0, 25.0
 DESYNC = (0, 1, 0, 2)
@@ -64,7 +64,8 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
     together = FrameList(list(scene.mask_frames(1.0)), RATE)
     lags = np.array([DESYNC[c % len(DESYNC)] for c in range(len(scene.rig))], dtype=np.float64)
     masks = [f.silhouettes for f in together.frames]
-    late = offsets_from_motion(scene.given_rig.pinhole(), None, masks).frames
+    no_points = np.zeros((0, 0, 0, 2)), np.zeros((0, 0, 0))
+    late = offsets_from_motion(scene.given_rig.pinhole(), no_points, masks).frames
     out: dict[str, Any] = {"offset": float(np.abs((late - late.mean()) - (lags - lags.mean())).max())}
     for case, offsets in (("late", np.zeros(len(lags))), ("in step", late)):
         shift = float((offsets - lags).mean())  # of the truth that the cameras show on the mean, frames

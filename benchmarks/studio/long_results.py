@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.app.jobs.gesture_job import new_learner
-from hypose.app.live.gesture_sources import PERSON_RATE
+from hypose.app.live.gestures import PERSON_RATE
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.model import GestureModel
+from hypose.gestures.online import Learner
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.pipeline.gesture_files import SessionWriter, save_model
 from hypose.synthetic.gesture_scenes import live_person
@@ -44,7 +44,7 @@ def long_session(folder: Path) -> None:
     """In a new folder, a model that has seen a little of a simulated person, and a session of that person of 15 minutes
     at 30 Hz, whose few pictures come again and again."""
     frames = live_person(0, "tee", np.random.default_rng(5), PERSON_RATE)
-    learner, shown = new_learner(0), []
+    learner, shown = Learner.new(np.random.default_rng(0)), []
     for k in range(_TAUGHT):
         frame = frames.send(k // 15 % 2 == 0) if k else next(frames)
         shown.append(frame.depth)

@@ -16,8 +16,9 @@ heard = np.arctan2(*(ship - listener).T[::-1]) + NOISE * rng.normal(size=len(shi
 sail = lambda h, frame, rng: h.equal(np.einsum("ij,nj->ni", drift, h.values))  # noqa: E731
 off = lambda h, frame: np.arctan2(*(h.values[:, :2] - frame[0]).T[::-1]) - frame[1]  # noqa: E731
 weigh = lambda h, frame: -0.5 * (np.angle(np.exp(1j * off(h, frame))) / NOISE) ** 2  # noqa: E731
-moves = kernels.Compose((sail, kernels.GaussianDiffusion(np.array([3.0, 3.0, 0.02, 0.02]))))
-recipe = Recipe("bearings", [Layer(moves, weigh, resampling.systematic)])
+noise = kernels.GaussianDiffusion(np.array([3.0, 3.0, 0.02, 0.02]))
+layers = [Layer(sail, None, resampling.keep), Layer(noise, weigh, resampling.systematic)]
+recipe = Recipe("bearings", layers)
 
 away, at = rng.uniform(1000, 15000, N), heard[0] + NOISE * rng.normal(size=N)
 start = np.stack([away * np.cos(at), away * np.sin(at), *rng.normal(0, 4, (2, N))], 1) + [*listener[0], 0, 0]

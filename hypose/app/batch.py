@@ -28,7 +28,7 @@ import numpy as np
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
 from hypose.app.options import TrackCommand
-from hypose.app.reports.summary import require_found, summarize
+from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
 from hypose.io.files import check_writable, read_json, text_lines, write_text

@@ -101,12 +101,17 @@ class Standing(NamedTuple):
     counts: NDArray[np.int64]
 
 
-class ContourArrays(NamedTuple):
-    """Contours of the masks of C views, prepared for comparing them with the outline of a body in both directions.
+SPACING_OF_HEIGHT, OUTLINE_POINTS = 6 / 260, 130
+"""Reference density of contour rows: distance of rows along the body's outline relative to the person's height in the
+picture, and number of points of a mask's outline per view. Weights are per arc length, so that changing the spacing or
+the number of points does not change the balance with key points and priors.
+"""
 
-    A row is one residual with its derivatives. Forward rows compare points of the body's outline with the signed
-    distance of the mask; reverse rows compare points of the mask's outline with the nearest outline point of the
-    body.
+
+class ContourTerm(NamedTuple):
+    """Silhouette contours of one frame of C views, in both directions: forward rows compare points of the body's
+    outline with the signed distance of the mask; reverse rows compare points of the mask's outline with the nearest
+    outline point of the body. Geman-McClure cost of the distance in px.
 
     sdf: (C, h, w) signed distance to the mask's edge around the person, px, negative inside; NOT_KNOWN where it depends
         on ignored pixels.
@@ -114,13 +119,13 @@ class ContourArrays(NamedTuple):
     usable: (C,) False: the view is omitted.
     sizes: (C, 2) width, height.
     projections: (C, 3, 4) pinhole projections.
-    forward_weight: weight of one forward row.
-    reverse_weight: weight of one reverse row.
-    scale: Geman-McClure scale, px.
-    coarse_scale: Geman-McClure scale in the first iterations, px.
-    spacing: px between outline points of the body (candidates for the reverse rows).
-    stride: only every stride-th outline point of the body makes a forward row.
-    shrunk: (C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections.
+    weight: weight of one row at the reference density.
+    scale_px, coarse_scale_px: scale of the distance, px: the final one, and that of the first iterations.
+    row_spacing_px: distance of the forward rows along the body's outline, px.
+    outline_count: K (at most 1000).
+    height_px: height of the person in the picture, px (median over the usable views).
+    shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
+        the original pixels.
     corners: (C, 2) pixel of the image at which each view's sdf begins.
     sdf_sizes: (C, 2) width and height of the part that sdf covers; outside of this part the distance counts as
         infinite.
@@ -131,32 +136,34 @@ class ContourArrays(NamedTuple):
     usable: NDArray[np.bool_]
     sizes: NDArray[np.int64]
     projections: NDArray[np.float64]
-    forward_weight: float
-    reverse_weight: float
-    scale: float
-    coarse_scale: float
-    spacing: float
-    stride: int
+    weight: float
+    scale_px: float
+    coarse_scale_px: float
+    row_spacing_px: float
+    outline_count: int
+    height_px: float
     shrunk: NDArray[np.float64]
     corners: NDArray[np.int64]
     sdf_sizes: NDArray[np.int64]
 
 
-class KeypointArrays(NamedTuple):
-    """2D key points of one frame for the solver, with a Cauchy cost of their distance in px.
+class KeypointTerm(NamedTuple):
+    """2D key points of one frame, with a Cauchy (Lorentzian) cost of scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
 
-    points: (C, K, 3) u, v, weight (0 = not seen).
+    points: (C, K, 3) u px, v px, confidence (weight w of the row); points of a confidence up to min_confidence or not
+        finite are omitted.
     projections: (C, 3, 4) pinhole projections of these pixels.
     joint: (K,) joint to which the point belongs.
     offset: (K, 3) position of the point on the body, m, in the joint's frame.
-    scale: standard deviation of a point, px.
+    scale_px: standard deviation of a point, px.
     """
 
     points: NDArray[np.float64]
     projections: NDArray[np.float64]
     joint: NDArray[np.int64]
     offset: NDArray[np.float64]
-    scale: float
+    scale_px: float
+    min_confidence: float = 0.3
 
 
 class PointArrays(NamedTuple):
@@ -176,7 +183,13 @@ class PointArrays(NamedTuple):
     scale: NDArray[np.float64]
 
 
-class DepthArrays(NamedTuple):
+DEPTH_WEIGHT, DEPTH_SCALE_M, FREE_SHARE = 0.1, 0.025, 0.5
+"""Weight of one point, robust scale of its distance, m, and weight of body in front of the measured surface per point,
+relative to that of a point. Chosen on simulated recordings of the seeds 0 to 9 (benchmark `depth`).
+"""
+
+
+class DepthTerm(NamedTuple):
     """Depth maps of C sensors: points of the person's surface, and how far each sensor sees; Geman-McClure cost of the
     distance in m.
 
@@ -188,14 +201,9 @@ class DepthArrays(NamedTuple):
     maps: (C, h, w) depth maps, m along the optical axis; 0: not known.
     sizes: (C, 2) width and height of each map, px.
     projections: (C, 3, 4) projections of the maps' pixels; the last row has unit length, so that it gives metres.
-    ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
-    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
-        first.
-    scale: m, Geman-McClure scale of the points.
     free_weight: weight of the residuals of body parts that lie in front of the measured surface: the sum over all of
         them, per point of the sensor.
-    free_scale: Geman-McClure scale of these residuals, m.
-    slack: distance in front of the measured surface within which the body costs nothing, m.
+    scale_m: robust scale of the points, m.
     """
 
     points: NDArray[np.float64]
@@ -206,25 +214,32 @@ class DepthArrays(NamedTuple):
     maps: NDArray[np.float32]
     sizes: NDArray[np.int64]
     projections: NDArray[np.float64]
+    free_weight: float = FREE_SHARE * DEPTH_WEIGHT
+    scale_m: float = DEPTH_SCALE_M
+
+
+class DepthArrays(NamedTuple):
+    """Depth of one frame for the solve of a body.
+
+    seen: the depth maps.
+    ring_first: (V + 1,) the faces around vertex v are ring[ring_first[v]] to ring[ring_first[v + 1]].
+    ring: (3 F, 3) the other two corners of such a face, in the face's order, and the row of the face at the edge to the
+        first.
+    """
+
+    seen: DepthTerm
     ring_first: NDArray[np.int64]
     ring: NDArray[np.int32]
-    scale: float
-    free_weight: float
-    free_scale: float
-    slack: float
 
 
-def _no_contours() -> ContourArrays:
-    """Make the arrays of contours without a view."""
-    f4 = np.float32
-    empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
-    return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1, np.ones(0), empty[3], empty[3])
-
-
-NO_CONTOURS = _no_contours()
+_NONE, _NO_CAMERA, _NO_PAIR = np.zeros(0, np.int64), np.zeros((0, 3, 4)), np.zeros((0, 2), np.int64)
+_NO_OUTLINE = np.zeros((0, 2, 2), np.float32), np.zeros((0, 0, 2), np.float32), np.zeros(0, np.bool_)
+NO_CONTOURS = ContourTerm(
+    *_NO_OUTLINE, _NO_PAIR, _NO_CAMERA, 0.0, 1.0, 1.0, 1.0, 1, 1.0, np.ones(0), _NO_PAIR, _NO_PAIR
+)
 """Contours of a frame without silhouettes; shared by all, because without rows nothing can be changed."""
-NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
-NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+NO_KEYPOINTS = KeypointTerm(np.zeros((0, 0, 3)), _NO_CAMERA, _NONE, np.zeros((0, 3)), 1.0)
+NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), _NONE, np.zeros((0, 3)), np.zeros(0))
 
 
 class Cues(NamedTuple):
@@ -234,8 +249,8 @@ class Cues(NamedTuple):
     depth: depth maps; None: there are none, and the solver is compiled without the code for depth.
     """
 
-    contours: ContourArrays
-    keypoints: KeypointArrays
+    contours: ContourTerm
+    keypoints: KeypointTerm
     points: PointArrays
     depth: DepthArrays | None
 

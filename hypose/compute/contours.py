@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from hypose.compute.arrays import NOT_KNOWN, RIM
+from hypose.compute.arrays import NOT_KNOWN, OUTLINE_POINTS, RIM, SPACING_OF_HEIGHT
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, fill_strip
 from hypose.compute.losses import geman_mcclure_kernel as geman_mcclure
@@ -321,7 +321,7 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
 
     k: position of the view among the views that the workspace holds.
     n_union: number of edges that are on a contour in any of the views in the workspace.
-    mesh, contours: mesh of the body (MeshArrays), and contours of the masks (ContourArrays).
+    mesh, contours: mesh of the body (MeshArrays), and contours of the masks (ContourTerm).
     scale: robust scale, px.
     ws: scratch memory, with the body projected into these views.
     n_found: number of rows found before; new ones are appended to ws.ends and ws.found.
@@ -339,7 +339,8 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     w, h = contours.sizes[c, 0], contours.sizes[c, 1]
     sdf, outline = contours.sdf[c], contours.outline[c]
     n_outline = outline.shape[0]
-    unseen = 0.5 * contours.reverse_weight * n_outline
+    per_mark = contours.weight * OUTLINE_POINTS / contours.outline_count
+    unseen = 0.5 * per_mark * n_outline
     if not (bounds[4, k] >= NEAR):
         return unseen, n_found
     x0 = int(max(f4(0), np.floor(bounds[0, k]) - f4(1)))
@@ -361,12 +362,14 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     length = f4(0)
     for e in range(n):
         length += lines[4, e]
-    wanted = f4(contours.spacing / contours.shrunk[c])
+    step = 2 if contours.row_spacing_px >= 2 else 1  # only every second outline point makes a forward row
+    wanted = f4(contours.row_spacing_px / step / contours.shrunk[c])
     spacing = max(wanted, length / f4(RIM - 16))
     thinned = spacing / wanted  # weight is per arc length
     own_scale = scale / contours.shrunk[c]
     i2 = f4(1) / f4(own_scale * own_scale)
-    forward, reverse = f4(contours.forward_weight) * thinned, f4(contours.reverse_weight)
+    per_row = contours.weight * contours.row_spacing_px / (SPACING_OF_HEIGHT * contours.height_px)
+    forward, reverse = f4(per_row) * thinned, f4(per_mark)
     # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
     # body's.
     n_rim = _spread(n, lines[4], spacing, edge, rim[0])
@@ -375,7 +378,7 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
         return unseen, n_found
     corner, size = contours.corners[c], contours.sdf_sizes[c]
     cost_forward, n_found = _forward_rows(
-        *(n_rim, contours.stride, rim, edge, ws, sdf, corner, size, i2, forward * i2, n_found, count)
+        *(n_rim, step, rim, edge, ws, sdf, corner, size, i2, forward * i2, n_found, count)
     )
     low = f4(y0)
     _by_row(n_rim, rim[1], rim[2], low, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands)

@@ -26,6 +26,8 @@ _ON_SURFACE = 0.004
 """m; nearer points pull along the surface's normal, because their own direction is noise."""
 _FARTHEST_BEFORE = 0.5
 """m; body farther in front of the measured surface is left to the outline."""
+_FREE_SCALE_M, _SLACK_M = 0.06, 0.02
+"""m: robust scale of body in front of the measured surface, and distance within which it costs nothing."""
 _LANES = 16
 """Number of triangles that are computed together."""
 
@@ -246,13 +248,13 @@ def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, ski
 
 
 @kernel
-def depth_rows(q, mesh, depth, factor, ws, kept, count):
+def depth_rows(q, mesh, given, factor, ws, kept, count):
     """Compute the rows of depth maps into ws.rows, and return their cost. A row is one residual with its
     derivatives.
 
     q: (D,) pose; ws.vertices holds the skinned vertices about its root.
     mesh: mesh of the body (MeshArrays).
-    depth: depth maps and surface points (DepthArrays).
+    given: depth maps and surface points (DepthArrays).
     ws: scratch memory.
     kept: (3,) its first number is that of the rows that wait in ws.rows; it is changed.
     factor: factor of the scale.
@@ -263,7 +265,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     than the surface measured in its pixel is pushed back along the optical axis, with the same loss. Which place is
     nearest is held fixed in the derivatives.
     """
-    vertices = ws.vertices
+    vertices, depth = ws.vertices, given.seen
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)
     _vertex_normals(vertices, mesh.faces, normals)
@@ -275,8 +277,8 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     corners, found = np.empty((most, 3), np.int32), np.empty((most, 8), np.float32)
     owner = np.empty(depth.points.shape[0], np.int64)
     cost = 0.0
-    scale = depth.scale * factor
-    i2, free_i2 = 1.0 / (scale * scale), 1.0 / (depth.free_scale * depth.free_scale)
+    scale = depth.scale_m * factor
+    i2, free_i2 = 1.0 / (scale * scale), 1.0 / (_FREE_SCALE_M * _FREE_SCALE_M)
     for c in range(depth.eyes.shape[0]):
         first, last = depth.first[c], depth.first[c + 1]
         if last <= first:
@@ -319,7 +321,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             owner[n_found], corners[n_found, 0], own = m, a, found[n_found]
             own[3], own[4], own[5] = px - vertices[a, 0], py - vertices[a, 1], pz - vertices[a, 2]
             n_found += 1
-        _nearest_places(n_found, vertices, depth.ring_first, depth.ring, corners, found)
+        _nearest_places(n_found, vertices, given.ring_first, given.ring, corners, found)
         for i in range(n_found):
             m, a, b, d, own = owner[i], corners[i, 0], corners[i, 1], corners[i, 2], found[i]
             px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
@@ -356,7 +358,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             if u < 0 or v < 0 or u >= width or v >= h:
                 continue
             seen = depth.maps[c, v, u]
-            before = seen - away - depth.slack
+            before = seen - away - _SLACK_M
             if not seen > 0 or before <= 0 or before > _FARTHEST_BEFORE:
                 continue
             rho, slope, _ = geman_mcclure(before * before * free_i2, free * free_i2, 1.0)

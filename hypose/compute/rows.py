@@ -178,15 +178,15 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
     / 4) with e = distance / scale (Cauchy, 2 sd).
 
     q: (D,) pose.
-    keypoints: key points of the frame (KeypointArrays).
+    keypoints: key points of the frame (KeypointTerm).
     rotations, centres: (J, 3, 3) and (J, 3) m, joint frames about the root.
     hessian, gradient: (J, 21) and (J, 6) sums per joint.
     count: (2,) its first number grows by the number of key points used.
 
     A key point behind its camera costs a constant 1/2 w 4 log(1 + 10^6) and has no derivative.
     """
-    cost = 0.0
-    i2 = 1.0 / (keypoints.scale * keypoints.scale)
+    cost, least = 0.0, max(keypoints.min_confidence, 0.0)
+    i2 = 1.0 / (keypoints.scale_px * keypoints.scale_px)
     for m in range(keypoints.joint.shape[0]):
         j = keypoints.joint[m]
         o, r = keypoints.offset[m], rotations[j]
@@ -196,7 +196,7 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
         x, y, z = px + q[0], py + q[1], pz + q[2]
         for c in range(keypoints.points.shape[0]):
             w = keypoints.points[c, m, 2]
-            if not w > 0:
+            if not (w > least and math.isfinite(keypoints.points[c, m, 0] + keypoints.points[c, m, 1])):
                 continue
             p = keypoints.projections[c]
             depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]

@@ -44,11 +44,6 @@ def _is_real(kind: Vec) -> bool:
     return isinstance(kind.dtype, types.Float)
 
 
-def _is_signed(kind: Vec) -> bool:
-    """Return whether the numbers of a vector type are signed whole numbers."""
-    return isinstance(kind.dtype, types.Integer) and kind.dtype.signed
-
-
 def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
     """Return a number as a vector; a vector unchanged.
 
@@ -73,22 +68,15 @@ def _calculate(name: str) -> Callable[..., Any]:
 
 
 def _compare(name: str) -> Callable[..., Any]:
-    """Make the function that writes a comparison (`<`, `>` or `!=`), which gives one bit per lane."""
+    """Make the function that writes a comparison (`<` or `>`, of signed numbers), which gives one bit per lane."""
 
     def code(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
-        if _is_real(kind):
-            return builder.fcmp_ordered(name, a, b)
-        return (builder.icmp_signed if _is_signed(kind) else builder.icmp_unsigned)(name, a, b)
+        return (builder.fcmp_ordered if _is_real(kind) else builder.icmp_signed)(name, a, b)
 
     return code
 
 
-def _shift_right(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
-    """Write a shift to the right, which keeps the sign of signed numbers."""
-    return (builder.ashr if _is_signed(kind) else builder.lshr)(a, b)
-
-
-_COMPARED = {operator.lt: "<", operator.gt: ">", operator.ne: "!="}
+_COMPARED = {operator.lt: "<", operator.gt: ">"}
 _OPERATORS: dict[Any, Callable[..., Any]] = {
     operator.add: _calculate("add"),
     operator.sub: _calculate("sub"),
@@ -96,8 +84,6 @@ _OPERATORS: dict[Any, Callable[..., Any]] = {
     operator.truediv: _calculate("div"),
     operator.and_: lambda builder, _, a, b: builder.and_(a, b),
     operator.or_: lambda builder, _, a, b: builder.or_(a, b),
-    operator.lshift: lambda builder, _, a, b: builder.shl(a, b),
-    operator.rshift: _shift_right,
     **{op: _compare(name) for op, name in _COMPARED.items()},
 }
 
@@ -222,21 +208,15 @@ def lane(typingctx: Any, x, k):
 
 @intrinsic
 def cast(typingctx: Any, x, dtype):
-    """Convert a vector to another number type; floating-point numbers are truncated, and must fit into the new type.
+    """Convert a vector of floating-point numbers to whole ones (they are truncated, and must fit), or of signed whole
+    numbers to floating point.
 
     x, dtype: the vector, and the new type (a type of numpy).
     """
     kind = Vec(dtype.dtype, x.n)
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        to, signed = context.get_value_type(kind), _is_signed(x)
-        if _is_real(x):
-            return builder.fptosi(args[0], to)
-        if _is_real(kind):
-            return (builder.sitofp if signed else builder.uitofp)(args[0], to)
-        if kind.dtype.bitwidth < x.dtype.bitwidth:
-            return builder.trunc(args[0], to)
-        return (builder.sext if signed else builder.zext)(args[0], to)
+        return (builder.fptosi if _is_real(x) else builder.sitofp)(args[0], context.get_value_type(kind))
 
     return kind(x, dtype), code
 

@@ -190,7 +190,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     """Compute the cost of all evidence and priors at pose q (D,).
 
     tree, mesh: joint tree and mesh of the body.
-    contours, keypoints, points, priors: evidence and priors (ContourArrays, KeypointArrays, PointArrays,
+    contours, keypoints, points, priors: evidence and priors (ContourTerm, KeypointTerm, PointArrays,
         PriorArrays).
     scale: robust scale of the contours, px.
     ws: scratch memory.
@@ -235,7 +235,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
     if depth is not None:
         form_found(found_of, mesh, ws)
-        factor = scale / contours.scale
+        factor = scale / contours.scale_px
         cost += depth_rows(q, mesh, depth, factor, ws, state, counts[n_views + 2])
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
@@ -290,13 +290,13 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
     found_of = (np.empty((n_views + VIEWS, 3, 4), np.float32), np.empty(n_views + 1, np.int64), np.empty(3, np.int64))
     damping = settings.damping
     coarse = settings.coarse_iterations if n_views > 0 else 0
-    scale, evaluated = contours.coarse_scale if coarse > 0 else contours.scale, False
+    scale, evaluated = contours.coarse_scale_px if coarse > 0 else contours.scale_px, False
     cost, evaluations, done, used, converged = 0.0, 0, 0, 0, 0.0
     while True:
         ends = done >= settings.iterations
         # a fine cost is reported all the same where only coarse iterations were asked for
         if coarse > 0 and done > 0 and (ends or done >= coarse):
-            coarse, scale, evaluated = 0, contours.scale, False
+            coarse, scale, evaluated = 0, contours.scale_px, False
         if not evaluated:
             cost = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts)
             normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient)

@@ -23,15 +23,16 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute import picture_to_mask, reach
 from hypose.compute.arrays import (
     BALL,
     FIXED,
     NO_KEYPOINTS,
     NO_POINTS,
-    ContourArrays,
+    ContourTerm,
     Cues,
     DepthArrays,
+    DepthTerm,
     MeshArrays,
     PriorArrays,
     SolveSettings,
@@ -41,12 +42,12 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import cache_file, failures, make_folder
 from hypose.compute.kinematics import forward_kinematics, skin
-from hypose.compute.mask_distance import shrink_mask, signed_distance
-from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
+from hypose.compute.parts import covered
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver import solve, workspace
 from hypose.compute.threads import default_threads
+from hypose.compute.zbuffer import rasterize
 
 # it imports the same modules as this process, and nothing from the folder in which it runs
 _PROGRAM = (
@@ -105,21 +106,10 @@ def _points() -> None:
 
 
 def _outlines() -> None:
-    """Call the kernels of a mask's outline."""
-    mask, sizes = _mask()
-    outline_points(signed_distance(mask, sizes)[0], (32, 32), 16)
-    shrink_mask(mask[0, :30, :30], 3)
-
-
-def _parts() -> None:
-    """Call the kernels of a body's parts."""
-    (_, mesh, _, projection), (mask, _) = _toy(), _mask()
-    (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
-    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
-    covered(uv, z, mesh.faces, (h, w), closed=True)
-    bits = np.zeros((h, w // 8), np.uint8)
-    parts_against_mask(bits, drawn, (0, w, 0, h), 1, uv, z)
-    touched_area(bits, bits, (w, h), 1, uv)
+    """Call the kernels of a mask's outline and of a body's parts."""
+    outline_points(np.zeros((32, 32), np.float32), (32, 32), 16)
+    mesh = _toy()[1]
+    covered(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32), closed=True)
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -132,9 +122,8 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
     outline = np.zeros((1, 16, 2), dtype=np.float32)
-    contours = ContourArrays(
-        sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
-    )
+    given = sdf, outline, np.array([True]), sizes, projection, 1.0, 2.0, 4.0, 2.0, 16, 30.0
+    contours = ContourTerm(*given, np.ones(1), 0 * sizes, sizes)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     given = (tree, mesh, Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), priors)
     return q, given, workspace(tree, mesh, 32, 32)
@@ -151,29 +140,27 @@ def _depth() -> None:
     none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
     surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
-    q, given, ws = _evidence(DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
+    q, given, ws = _evidence(DepthArrays(DepthTerm(*surface), first, ring))
     solve(q, *given, SolveSettings(1, 0), ws)
 
 
 def _monocular() -> None:
-    """Call the kernels of one camera."""
-    tree, mesh, q, projection = _toy()
-    mono.warm_up(tree, mesh, q, projection[0])
+    """Call the kernels that draw a body for one camera."""
+    mesh = _toy()[1]
+    rasterize(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32))
 
 
 KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
-    "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
-    "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
-    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
+    "outlines": (_outlines,),
+    "pictures": (picture_to_mask.warm_up,),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
 """Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points
-and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. shape: rows
-by which a body is fitted to outlines. pictures: masks from pictures. monocular: one camera. depth: poses from depth as
-well.
+and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. pictures:
+masks from pictures. monocular: one camera. depth: poses from depth as well.
 """
 
 
@@ -194,7 +181,7 @@ def _run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "pictures")
 """Groups of kernels that mask tracking needs."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.compute import arrays
 from hypose.compute.arrays import MeshArrays, PreparedMasks, TreeArrays
 from hypose.compute.depth_costs import (
     SeenDepth,
@@ -94,15 +95,10 @@ class PoseMemory(Generic[_Found]):
 
         find: function that computes the missing ones; for many poses it computes all, without the cache.
         """
-        if len(poses) > _REMEMBERED_POSES:
+        if not 0 < len(poses) <= _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
         new = [n for n, one in enumerate(found) if one is None]
-        if len(new) == len(poses):
-            rows = find(poses)
-            for pose, one in zip(poses, rows, strict=True):
-                self.keep(body, pose, one)
-            return rows
         if new:
             for n, one in zip(new, find(poses[new]), strict=True):
                 found[n] = self.keep(body, poses[n], one)
@@ -260,8 +256,7 @@ class DepthEvidence(Evidence):
         shoulder: joint of the arm.
         """
         at = standing.pose[:3] + standing.centres[shoulder]
-        given = body.skeleton.tree, body.coarse.arrays, self.maps
-        in_sight, agreed, nearby = limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        in_sight, agreed, nearby = limb_shown(*self._about(body)[:3], standing, at, ARM_REACH_M, EXPLAINED_M).T
         shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
         return bool(shown.any() and (nearby <= NEARBY * ARM_M2).all())
 
@@ -384,8 +379,7 @@ def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> li
 _NO_VIEWS, _NO_MASK, _NO_COUNT = np.zeros(0, np.bool_), np.zeros((0, 1, 1), np.uint8), np.zeros(0, np.int64)
 _NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
 _NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0], _NO_MASK)
-_NO_POINTS = KeypointTerm(np.zeros((0, 0, 3)), _NO_CAMERAS, _NO_COUNT, np.zeros((0, 3)), 1.0)
 _NO_MAPS = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, _NO_COUNT)
 NO_SILHOUETTES = SilhouetteEvidence(_NO_VIEWS, (), PreparedMasks(*_NO_MASKS))
-NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), _NO_POINTS)
+NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), arrays.NO_KEYPOINTS)
 NO_DEPTH = DepthEvidence(_NO_VIEWS, (), _NO_MAPS)

@@ -4,23 +4,20 @@ frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import mask_runs
-from hypose.compute.arrays import NOT_KNOWN
-from hypose.compute.mask_distance import shrink_mask, signed_distance
-from hypose.compute.mask_runs import MaskRuns
+from hypose.compute import packed_masks
+from hypose.compute.arrays import NOT_KNOWN, OUTLINE_POINTS
+from hypose.compute.mask_distance import signed_distance
+from hypose.compute.packed_masks import BitMask
 from hypose.compute.rows import outline_points
 from hypose.geometry import Array, Mask
 
-OUTLINE_POINTS = 130
-"""Default number of points per view: two pixels apart on a person 260 px tall is enough."""
 SMALLEST = 8
 """px: masks no longer than this get no outline"""
 WORKING_HEIGHT = 170
@@ -86,9 +83,9 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     count: number of outline points.
     working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk.
     """
-    box = bounding_box(mask) or (0, 0, 0, 0)
     if working_height is not None:
-        return outline_in_box(mask[box[0] : box[1], box[2] : box[3]], box, mask.shape, count, working_height)
+        return outline_of_packed(packed_masks.pack(mask), count, working_height)
+    box = bounding_box(mask) or (0, 0, 0, 0)
     extent = max(box[1] - box[0], box[3] - box[2])
     if extent <= SMALLEST:
         return _no_outline(mask.shape, count, extent, None)
@@ -98,57 +95,22 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     return ViewOutline(distance, points, found, extent)
 
 
-def outline_in_box(
-    part: Mask, box: tuple[int, int, int, int], shape: tuple[int, ...], count: int, working_height: int
-) -> ViewOutline:
-    """Compute the outline of a mask for tracking, given only its part in a box.
-
-    count: number of outline points.
-    part: the mask in box (y0, y1, x0, x1); all other pixels of the mask (h, w) = shape are zero.
-    A mask taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall.
-    Distances are computed around the person only (a sixth of its size, at least 32 px), because rows further away have
-    no weight.
-    """
-
-    def put(mask: Mask, corner: tuple[int, int]) -> None:
-        y, x = box[0] - corner[0], box[2] - corner[1]
-        part_in = part[: mask.shape[0] - y, : mask.shape[1] - x]
-        mask[y : y + part_in.shape[0], x : x + part_in.shape[1]] = part_in
-
-    return _outline_around(put, box, shape, count, working_height)
-
-
-def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
+def outline_of_packed(packed: BitMask, count: int, working_height: int) -> ViewOutline:
     """Compute the outline of a packed mask for tracking.
 
     count: number of outline points.
-    working_height: a mask taller than this is shrunk before, px.
+    working_height: px; a mask taller than this is shrunk by the largest multiple of 1/2 that leaves it at least as
+        tall.
+    Distances are computed around the person only (a sixth of its size, at least 32 px), because rows further away have
+    no weight.
     """
-    draw = partial(mask_runs.draw, runs)
-    return _outline_around(draw, runs.box, runs.shape, count, working_height)
-
-
-def _outline_around(
-    put: Callable[[Mask, tuple[int, int]], object],
-    box: tuple[int, int, int, int],
-    shape: tuple[int, ...],
-    count: int,
-    working_height: int,
-) -> ViewOutline:
-    """Compute the outline of a person whom the function put(mask, corner (y, x)) draws into an empty part of the mask.
-
-    box: y0, y1, x0, x1 around the person.
-    shape: (h, w) shape of the whole mask.
-    count: number of outline points.
-    working_height: px, see `outline_in_box`.
-    """
+    box, shape = packed.box, packed.shape
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
     y0, y1, x0, x1 = _around(box, shape, halves)
     if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # only in rows or columns outside whole blocks
         return _no_outline((2, 2), count, extent, working_height)
-    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    put(mask, (y0, x0))
+    mask = packed_masks.draw(packed, np.zeros((y1 - y0, x1 - x0), np.uint8), (y0, x0))
     small = _shrink(mask, halves) if halves > 2 else mask
     size = (small.shape[1], small.shape[0])
     distance = signed_distance(small[None], np.array([size]), max(size))[0]
@@ -244,10 +206,8 @@ def _shrink(mask: Mask, halves: int) -> Mask:
     area is.
     """
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
-    mask = mask[: h * halves // 2, : w * halves // 2]
-    if halves % 2:
-        return shrink_mask(mask, halves)
-    share = cv2.resize(mask * np.uint8(254), (w, h), interpolation=cv2.INTER_AREA)  # faster, for whole factors only
+    whole = mask[: h * halves // 2, : w * halves // 2] * np.uint8(254)
+    share = cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)
     return np.asarray(share >= 127).view(np.uint8)
 
 

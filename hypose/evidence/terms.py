@@ -10,25 +10,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from statistics import median
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute.arrays import ContourArrays, DepthArrays, KeypointArrays, PointArrays, Standing
+from hypose.compute.arrays import (
+    DEPTH_WEIGHT,
+    OUTLINE_POINTS,
+    SPACING_OF_HEIGHT,
+    ContourTerm,
+    DepthTerm,
+    KeypointTerm,
+    PointArrays,
+    Standing,
+)
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
 from hypose.evidence.prefetch import outlines
 from hypose.geometry import Array
 
-# Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
-# spacing or the number of points does not change the balance with key points and priors.
-SPACING_OF_HEIGHT = 6 / 260
 SCALE_OF_HEIGHT = 2.5 / 260
 
 
@@ -41,10 +46,6 @@ class Limb(NamedTuple):
 
     moving: NDArray[np.bool_]
     rest: Standing | None = None
-
-
-class Term:
-    """Base class of the residuals of one cue in one frame, for solvers."""
 
 
 @dataclass(frozen=True)
@@ -82,99 +83,7 @@ class Piece(Protocol):
 
 
 @dataclass(frozen=True)
-class ContourTerm(Term):
-    """Silhouette contours of one frame, in both directions (body outline -> mask, mask outline -> body); see
-    `contour_term`.
-
-    sdf: (C, h, w) float32 signed distance, px, negative inside.
-    outline: (C, K, 2) float32 points on the mask's edge, px.
-    usable: (C,).
-    sizes: (C, 2) width, height.
-    projections: (C, 3, 4) pinhole.
-    weight: weight of one row at the reference density (rows 6 px apart on a person 260 px tall, 130 outline points a
-        view).
-    scale_px, coarse_scale_px: Geman-McClure scale of the distance, px: the final one, and that of the first
-        iterations.
-    row_spacing_px: distance of the forward rows along the body's outline, px.
-    outline_count: K (at most 1000).
-    height_px: height of the person in the picture, px (median over the usable views).
-    shrunk: (C,) factor of the larger pixels in which sdf, outline, sizes and projections are; all other lengths are in
-        the original pixels.
-    corners: (C, 2), sdf_sizes: (C, 2): the part of each image that its sdf covers; rows outside cost as at infinite
-        distance.
-    """
-
-    sdf: NDArray[np.float32]
-    outline: NDArray[np.float32]
-    usable: NDArray[np.bool_]
-    sizes: NDArray[np.int64]
-    projections: Array
-    weight: float
-    scale_px: float
-    coarse_scale_px: float
-    row_spacing_px: float
-    outline_count: int
-    height_px: float
-    shrunk: Array
-    corners: NDArray[np.int64]
-    sdf_sizes: NDArray[np.int64]
-
-    @cached_property
-    def arrays(self) -> ContourArrays:
-        """The solver's arrays, built once for all solves of a frame."""
-        stride = 2 if self.row_spacing_px >= 2 else 1
-        return ContourArrays(
-            np.require(self.sdf, np.float32, ["C", "W"]),
-            np.require(self.outline, np.float32, ["C", "W"]),
-            np.require(self.usable, np.bool_, ["C", "W"]),
-            np.require(self.sizes, np.int64, ["C", "W"]),
-            np.require(self.projections, np.float64, ["C", "W"]),
-            float(self.weight * self.row_spacing_px / (SPACING_OF_HEIGHT * self.height_px)),
-            float(self.weight * REFERENCE_OUTLINE / self.outline_count),
-            float(self.scale_px),
-            float(self.coarse_scale_px),
-            float(self.row_spacing_px / stride),
-            stride,
-            np.require(self.shrunk, np.float64, ["C", "W"]),
-            np.require(self.corners, np.int64, ["C", "W"]),
-            np.require(self.sdf_sizes, np.int64, ["C", "W"]),
-        )
-
-
-@dataclass(frozen=True)
-class KeypointTerm(Term):
-    """2D key points of one frame, with a Cauchy (Lorentzian) cost of scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
-
-    points: (C, K, 3) u px, v px, confidence (weight w of the row); rows below min_confidence or not finite are left
-        out.
-    projections: (C, 3, 4) pinhole cameras of these pixels.
-    joint: (K,), offset: (K, 3) in the joint's frame, m: where the key point sits on the body.
-    scale_px: 1 sd.
-    """
-
-    points: Array
-    projections: Array
-    joint: NDArray[np.int64]
-    offset: Array
-    scale_px: float
-    min_confidence: float = 0.3
-
-    def arrays(self, body: Body) -> KeypointArrays:
-        """Build the solver's arrays; rows to leave out get weight 0."""
-        points = np.array(self.points, dtype=np.float64)
-        seen = np.isfinite(points).all(-1) & (points[..., 2] > max(self.min_confidence, 0.0))
-        points[~seen] = 0
-        return KeypointArrays(
-            points,
-            np.require(self.projections, np.float64, ["C", "W"]),
-            checked_joints(self, body),
-            np.require(self.offset, np.float64, ["C", "W"]),
-            float(self.scale_px),
-        )
-
-
-@dataclass(frozen=True)
-class PointTerm(Term):
+class PointTerm:
     """3D points of one frame, with a Cauchy (Lorentzian) cost of scale 2 sd, as for key points.
 
     points_world: (M, 3) m; NaN where missing.
@@ -217,7 +126,7 @@ Residuals = Callable[[Array], tuple[ArrayLike, ArrayLike]]
 
 
 @dataclass(frozen=True)
-class RowTerm(Term):
+class RowTerm:
     """Residuals of body points in one frame, with a Cauchy (Lorentzian) cost of each point's residuals together.
 
     The cost is 2 w log(1 + |r|^2 / 4), with r in standard deviations, as for key points.
@@ -244,6 +153,10 @@ class RowTerm(Term):
             )
 
 
+Term = ContourTerm | KeypointTerm | PointTerm | DepthTerm | RowTerm
+"""Residuals of one cue in one frame, for solvers."""
+
+
 def checked_joints(term: KeypointTerm | PointTerm | RowTerm, body: Body) -> NDArray[np.int64]:
     """Check the joints (P,) of a term and return them; InputError where the body does not have one of them."""
     j, count = np.array(term.joint, dtype=np.int64), len(body.skeleton.parents)
@@ -258,7 +171,7 @@ def contour_term(
     silhouettes: Silhouettes,
     weight: float = 0.05,
     *,
-    outline_count: int = REFERENCE_OUTLINE,
+    outline_count: int = OUTLINE_POINTS,
     working_height: int | None = None,
 ) -> ContourTerm:
     """Build the contour evidence of a frame's masks.
@@ -283,7 +196,7 @@ def contour_term(
             f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
         )
         raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
-    height = _median(made.extent[usable])
+    height = float(median(made.extent[usable].tolist()))
     scale = max(SCALE_OF_HEIGHT * height, 0.5)
     return ContourTerm(
         made.distance,
@@ -303,62 +216,10 @@ def contour_term(
     )
 
 
-def _median(values: NDArray[np.int64]) -> float:
-    """Compute the median of a few numbers faster than numpy does."""
-    v = sorted(values.tolist())
-    return 0.5 * (v[(len(v) - 1) // 2] + v[len(v) // 2])
-
-
 BODY_SD = 0.012
 """m: usual distance of a person's surface from that of a body of the right size: clothes, folds, flesh"""
-DEPTH_WEIGHT, DEPTH_SCALE_M = 0.1, 0.025
-"""Weight of one point, and robust scale of its distance, m. Chosen on simulated recordings of the seeds 0 to 9
-(benchmark `depth`)."""
-FREE_SHARE, FREE_SCALE_M, SLACK_M = 0.5, 0.06, 0.02
 _MAP_SIDE = 160
 """px: largest side of the maps in which the body is looked up; more is not needed"""
-
-
-@dataclass(frozen=True)
-class DepthTerm(Term):
-    """Term of depth in the solver; built by `depth_term`.
-
-    points, normals: (M, 3) in the world, m.
-    weight: (M,).
-    first: (C + 1,) ranges of each sensor's points.
-    eyes: (C, 3) positions of the sensors, m.
-    maps: (C, h, w) float32 m, 0: unknown.
-    sizes: (C, 2) width, height.
-    projections: (C, 3, 4).
-    free_share: weight, per point, of body parts in front of the measured surface.
-    scale_m: Geman-McClure scale of a point's distance, m.
-    A body part up to SLACK_M (m) in front of the measured surface costs nothing; beyond that, its robust scale is
-    FREE_SCALE_M (m).
-    """
-
-    points: Array
-    normals: Array
-    weight: Array
-    first: NDArray[np.int64]
-    eyes: Array
-    maps: NDArray[np.float32]
-    sizes: NDArray[np.int64]
-    projections: Array
-    free_share: float = FREE_SHARE * DEPTH_WEIGHT
-    scale_m: float = DEPTH_SCALE_M
-
-    def arrays(self, body: Body) -> DepthArrays | None:
-        """Build the solver's arrays; None where there are no points."""
-        scales = float(self.scale_m), self.free_share, FREE_SCALE_M, SLACK_M
-        return DepthArrays._make((*self._flat, *body.coarse.rings, *scales)) if len(self.points) else None
-
-    @cached_property
-    def _flat(self) -> tuple[NDArray, ...]:
-        """The arrays in the solver's order, built once for all solves of a frame."""
-        given: list[tuple[NDArray, type]] = [(self.points, np.float64), (self.normals, np.float64)]
-        given += [(self.weight, np.float64), (self.first, np.int64), (self.eyes, np.float64), (self.maps, np.float32)]
-        given += [(self.sizes, np.int64), (self.projections, np.float64)]
-        return tuple(np.require(a, kind, ["C", "W"]) for a, kind in given)
 
 
 def depth_term(depth: Depth) -> DepthTerm | None:

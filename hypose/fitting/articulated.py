@@ -28,10 +28,13 @@ from hypose.compute.arrays import (
     NO_KEYPOINTS,
     NO_POINTS,
     Cues,
+    DepthArrays,
     PointArrays,
     PriorArrays,
     SolveSettings,
     Workspace,
+    plain,
+    tidy,
 )
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
@@ -102,16 +105,22 @@ def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, 
     for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
             raise InputError(f"A frame has one {type(term).__name__} of all its views; combine the two.")
-    contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
+    contours, points, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
     places = [term.arrays(body) for term in evidence if isinstance(term, PointTerm)]
     rows = tuple(term for term in evidence if isinstance(term, RowTerm))
     for term in rows:
         checked_joints(term, body)
+    keypoints = NO_KEYPOINTS
+    if isinstance(points, KeypointTerm):
+        seen, cameras, offset = (plain(a, np.float64) for a in (points.points, points.projections, points.offset))
+        scales = float(points.scale_px), float(points.min_confidence)
+        keypoints = KeypointTerm(seen, cameras, checked_joints(points, body), offset, *scales)
     cues = Cues(
-        contours.arrays if isinstance(contours, ContourTerm) else NO_CONTOURS,
-        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else NO_KEYPOINTS,
+        tidy(contours) if isinstance(contours, ContourTerm) else NO_CONTOURS,
+        keypoints,
         PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else NO_POINTS,
-        depth.arrays(body) if isinstance(depth, DepthTerm) else None,
+        # without points a sensor says nothing
+        DepthArrays(tidy(depth), *body.coarse.rings) if isinstance(depth, DepthTerm) and len(depth.points) else None,
     )
     return cues, rows
 

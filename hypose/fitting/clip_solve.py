@@ -28,7 +28,7 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 
 @dataclass(frozen=True)
-class Gaussian(Term):
+class Gaussian:
     """Evidence of one frame, summarised as a Gaussian distribution of the pose: cost 1/2 off' information off.
 
     centre: (D,) most probable pose.
@@ -58,7 +58,7 @@ def default_acceleration(dof: int, strength: float = 1.0) -> Array:
 def fit_clip(
     body: Body,
     starts: ArrayLike,
-    evidence: Sequence[Sequence[Term]],
+    evidence: Sequence[Sequence[Term | Gaussian]],
     *,
     acceleration: float | ArrayLike = 1.0,
     velocity: ArrayLike = 0.0,
@@ -211,7 +211,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
         self,
         body: Body,
         coupling: Coupling,
-        evidence: Sequence[Sequence[Term]],
+        evidence: Sequence[Sequence[Term | Gaussian]],
         priors: Sequence[Quadratic],
     ) -> None:
         n_frames = coupling.n_frames
@@ -219,7 +219,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
             raise SolverError(f"fit_clip needs the evidence of every frame: {n_frames}, got {len(evidence)}.")
         self.body, self.tree, self.mesh = body, body.skeleton.tree, body.coarse.arrays
         gaussians = [[one for one in of if isinstance(one, Gaussian)] for of in evidence]
-        self.cues = [cues_of(body, of) for of in evidence]
+        self.cues = [cues_of(body, [one for one in of if not isinstance(one, Gaussian)]) for of in evidence]
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)

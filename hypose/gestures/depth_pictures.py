@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,16 +100,3 @@ def surface_depth(depth: DepthImage, x: float, y: float, radius: int = 6, near_m
     window = depth[max(0, i - radius) : max(0, i + radius + 1), max(0, j - radius) : max(0, j + radius + 1)]
     values = window[window >= near_mm]
     return None if len(values) < 5 else float(np.percentile(values, 30))
-
-
-def check_settings(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """Raise InputError where a setting is outside its bounds (inclusive) or is NaN.
-
-    what: start of the message, such as "A forest's".
-    settings: object with the settings as attributes.
-    bounds: least and largest value by name of the attribute.
-    """
-    for name, (low, high) in bounds.items():
-        value = getattr(settings, name)
-        if not low <= value <= high:  # NaN is not within either
-            raise InputError(f"{what} {name} is {value}; it must be {low} to {high}.")

@@ -16,7 +16,6 @@ from hypose.compute import forest_votes, forests
 from hypose.compute.forest_votes import Packed
 from hypose.compute.forests import GrowingArrays, PaddedDepth
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import check_settings
 
 CLASSES = 2
 """Number of classes of a forest: the background (0) and the gesture (1)."""
@@ -24,7 +23,7 @@ CLASSES = 2
 
 @dataclass(frozen=True)
 class ForestSettings:
-    """Settings of the growth of a forest. Raises InputError where one is outside its range.
+    """Settings of the growth of a forest.
 
     trees: number of trees.
     deepest: number of levels below the root.
@@ -49,22 +48,6 @@ class ForestSettings:
     rate: float = 1.0
     most_slots: int = 500
     most_nodes: int = 8192
-
-    def __post_init__(self) -> None:
-        bounds = {
-            "trees": (1, 200),
-            "deepest": (1, 60),
-            "reach_mm": (10, 1000),
-            "candidates": (1, 2000),
-            "alpha": (1, 20000),
-            "most_slots": (1, 8000),
-            "most_nodes": (3, forests.MAX_NODES),
-        }
-        check_settings("A forest's", self, bounds)
-        if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
-            raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
-        if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:
-            raise InputError(f"A forest's rate is {self.rate}, beta {self.beta}; they must be in 0..20 and 0..1.")
 
     @property
     def clip(self) -> int:

@@ -18,13 +18,13 @@ from hypose.compute import forest_votes, forests
 from hypose.compute.forest_votes import ScanPlan
 from hypose.compute.forests import DepthImage, PaddedDepth
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import KINECT, DepthLens, check_settings, surface_depth
+from hypose.gestures.depth_pictures import KINECT, DepthLens, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
 
 
 @dataclass(frozen=True)
 class LocaliseSettings:
-    """Settings of the localisation. Raises InputError where one is outside its range.
+    """Settings of the localisation.
 
     plan: pixels that are scanned.
     majority: share of the gesture that a pixel needs to vote for it.
@@ -41,25 +41,6 @@ class LocaliseSettings:
     sigma_px: float = 8.0
     adaptation_rate: float = 1.0
     disc_mm: float = 60.0
-
-    def __post_init__(self) -> None:
-        check_settings(
-            "The localization's",
-            self,
-            {"majority": (0, 1), "sigma_px": (0.01, 1000), "adaptation_rate": (0, 1), "disc_mm": (1, 1000)},
-        )
-        check_settings(
-            "The scan's",
-            self.plan,
-            {
-                "stride": (1, 1000),
-                "near_mm": (100, forests.FAR_MM),
-                "far_mm": (100, forests.FAR_MM),
-                "first": (0, 200),
-                "least": (0, 1),
-                "coarse": (0, 16),
-            },
-        )
 
     def at(self, lens: DepthLens) -> LocaliseSettings:
         """Return the settings scaled to the focal length of a lens."""

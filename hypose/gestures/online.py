@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.compute.forest_votes import ScanPlan
 from hypose.compute.forests import DepthImage, pad_depth
-from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
+from hypose.gestures.depth_pictures import DepthLens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 
@@ -26,7 +26,7 @@ Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class LearnSettings:
-    """Settings of how many pixels of a frame are learned. Raises InputError where one is outside its range.
+    """Settings of how many pixels of a frame are learned.
 
     positives: number of positives, within box_mm of the marked point and surface_mm of its depth.
     around: number of negatives between rim_mm and clear_mm of the marked point, which define where the gesture ends.
@@ -49,11 +49,6 @@ class LearnSettings:
     surface_mm: float = 80.0
     clear_mm: float = 45.0
     look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
-
-    def __post_init__(self) -> None:
-        counts = dict.fromkeys(("positives", "around", "random", "hard", "few", "many"), (0, 1000))
-        lengths = dict.fromkeys(("box_mm", "rim_mm", "surface_mm", "clear_mm"), (1, 1000))
-        check_settings("Learning's", self, {**counts, **lengths})
 
 
 @dataclass(frozen=True)

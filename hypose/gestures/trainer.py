@@ -267,6 +267,7 @@ class Trainer:
         commands: Sequence[Command] = (),
         *,
         learn: bool = True,
+        shows: bool | None = None,
     ) -> Feedback:
         """Process one frame of the session.
 
@@ -276,6 +277,8 @@ class Trainer:
         box: (x, y) px, where the gesture is to be shown.
         commands: commands of the person since the last frame.
         learn: False: the forest does not learn the frame (to test the forest on it, or because it was learned before).
+        shows: whether the frame shows the gesture; the forest does not learn it where the phase asks for the other.
+            None: not known.
         Returns: what to show.
         """
         self.session, instruction = advance(self.session, self.settings, time, commands)
@@ -285,7 +288,7 @@ class Trainer:
         if instruction.learn is not None:
             if instruction.segment != self._segment:
                 self._segment, self._before = instruction.segment, self._snapshot()
-            if learn:
+            if learn and shows in (None, instruction.learn == "gesture"):
                 taught = self.learn(instruction.learn, depth, lens, box)
                 found = None if taught is None else taught.found
         elif instruction.phase == "test":

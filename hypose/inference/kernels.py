@@ -101,19 +101,6 @@ class AdaptiveDiffusion:
 
 
 @dataclass(frozen=True)
-class Compose:
-    """Kernel that applies several kernels one after the other, with the same random generator."""
-
-    kernels: tuple[Kernel, ...]
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """Apply all kernels in order."""
-        for kernel in self.kernels:
-            h = kernel(h, frame, rng)
-        return h
-
-
-@dataclass(frozen=True)
 class RejectionSampling:
     """Kernel that accepts a step of another kernel only where a prior allows it: P(x') > tau P(x).
 

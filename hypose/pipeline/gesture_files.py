@@ -2,7 +2,7 @@
 
 A recording is a folder from which gestures can be learned again, offline or online:
 session.json: {"format": "hypose-gesture-session", "version": 1, "gestures": [names], "lens": [fx, fy, cx, cy], "size":
-    [width, height], "settings": {...}}.
+    [width, height]}.
 frames.csv: frame,time,file,phase,segment,gesture,x,y, one row per depth picture: phase in which it was taken, number of
     its learning segment (0 = none), gesture (from 1) and the box's centre where it was learned as one.
 actions.csv: time,action,detail, everything the user did; "undo N" takes segment N back.
@@ -14,11 +14,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -110,7 +109,6 @@ class GestureRecording:
     size: (width, height), px.
     frames: in the order of time.
     undone: numbers of the segments that were taken back.
-    settings: settings of the session.
     """
 
     folder: Path
@@ -119,7 +117,6 @@ class GestureRecording:
     size: tuple[int, int]
     frames: tuple[RecordedFrame, ...]
     undone: frozenset[int]
-    settings: Mapping[str, Any]
 
     def number(self, name: str) -> int:
         """Return the number of a gesture by its name.
@@ -129,11 +126,6 @@ class GestureRecording:
         if name not in self.gestures:
             raise InputError(f"{self.folder} has no gesture {name!r}; it has {', '.join(self.gestures)}.")
         return self.gestures.index(name) + 1
-
-    @property
-    def content(self) -> str:
-        """Identity of the session, see `content_of`."""
-        return content_of(self.folder)
 
     def learned(self) -> list[RecordedFrame]:
         """Return the frames of learning segments that were not taken back."""
@@ -148,11 +140,6 @@ class GestureRecording:
                 yield Example(depth, self.lens, 1, f.x, f.y)
             else:
                 yield Example(depth, self.lens)
-
-    def pictures(self) -> Iterator[tuple[RecordedFrame, DepthImage]]:
-        """Yield every frame with its picture."""
-        for f in self.frames:
-            yield f, self.picture(f)
 
     def picture(self, frame: RecordedFrame) -> DepthImage:
         """Read a frame's picture (h, w), uint16 mm.
@@ -192,7 +179,6 @@ def read_recording(folder: str | Path) -> GestureRecording:
     if not isinstance(size, list) or len(size) != 2 or not all(isinstance(v, int) and v > 0 for v in size):
         raise InputError(f"{path}: size must be width and height in pixels.")
     frames = _read_frames(folder, len(gestures))
-    settings = value.get("settings")
     return GestureRecording(
         folder,
         tuple(gestures),
@@ -200,7 +186,6 @@ def read_recording(folder: str | Path) -> GestureRecording:
         (size[0], size[1]),
         tuple(frames),
         _undone(folder / "actions.csv"),
-        settings if isinstance(settings, dict) else {},
     )
 
 
@@ -264,7 +249,6 @@ class SessionWriter:
         gestures: Sequence[str],
         lens: DepthLens,
         size: tuple[int, int],
-        settings: Mapping[str, Any] | None = None,
     ) -> None:
         self._folder = RecordingFolder(folder)
         self.folder = self._folder.path
@@ -274,7 +258,6 @@ class SessionWriter:
             "gestures": list(gestures),
             "lens": [lens.fx, lens.fy, lens.cx, lens.cy],
             "size": list(size),
-            "settings": dict(settings or {}),
         }
         with self._folder.writing():
             (self.folder / "depth").mkdir(exist_ok=True)

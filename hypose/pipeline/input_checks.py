@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from hypose.calibration.diagnose_masks import MaskViews, focal_findings, gross_silhouettes
 from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
 from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
-from hypose.calibration.findings import INVALID, Finding, Limits, depth_findings
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, depth_findings
 from hypose.cameras.camera import PARALLEL, widest_angle
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
+from hypose.pipeline.assessment import other_people_note
+from hypose.pipeline.moved_sensors import moved_sensors
+from hypose.pipeline.passes import ClipState, Pass, find_people, session_of, track_clip, track_rest
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameList, FrameSource
+from hypose.pipeline.sources import FrameList, FrameSource, PlacedSource
+from hypose.pipeline.subject import measured_height
 
 
 def check_inputs(
@@ -60,7 +64,7 @@ def check_inputs(
 def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     """Check the depth maps alone, also of frames with several people."""
     with contextlib.suppress(HyposeError):
-        if source.frame(0).depth is None:  # frames spread over videos take long to read
+        if not source.frame(0).of(Depth):  # frames spread over videos take long to read
             return ()
     return depth_findings(pieces_of(_some(source), Depth))
 
@@ -78,22 +82,9 @@ def _rows(total: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, total - 1, min(total, SETTINGS.look_frames)).round().astype(np.int64))
 
 
-def of_measured(stature: float) -> tuple[Finding, ...]:
-    """Check whether a height (m) that was measured from masks or depth is plausible for a person.
-
-    Returns: one finding where it is not; empty otherwise.
-    """
-    return tuple(height_findings(stature, None, Limits()))
-
-
 def places_refuted(found: Sequence[Finding]) -> bool:
     """Return whether a finding refutes the places of the cameras; then people cannot be separated."""
     return any(f.fault and f.kind in ("places", "swapped", "mirrored") for f in found)
-
-
-def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:
-    """List the findings of one severity as sentences, each with its next step."""
-    return tuple(f.sentence for f in found if f.severity == severity)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:
@@ -148,3 +139,74 @@ def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Li
     yield from up_by_cameras(silhouettes[0].rig)
     seen = MaskViews.of(silhouettes)
     yield from gross_silhouettes(seen, replace(o, gross=0.04)) or focal_findings(seen.rig, seen.of_some)
+
+
+# ---- passes ----------------------------------------------------------------------------------------------------------
+
+
+def check_evidence(clip: ClipState) -> ClipState:
+    """Check masks, key points and cameras against each other before tracking, and add the findings.
+
+    Where several people are tracked, only depth maps are checked, since the other checks are of one person.
+    """
+    options = clip.options
+    clip.progress("look", 0, 1)
+    others = ()
+    if clip.finder is not None:
+        found = check_depth_inputs(clip.source)
+    else:
+        found = check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
+    # wrong cameras can make one person look like two
+    more = 0 if clip.finder or places_refuted(found) else getattr(clip.source, "others", 0)
+    if more:
+        others = (other_people_note(more, "key points", "--people all"),)
+    clip.progress("look", 1, 1)
+    return clip.with_findings(*found, *others)
+
+
+def place_sensors(clip: ClipState) -> ClipState:
+    """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
+    done = clip.estimates
+    if not done or not clip.complete or clip.finder is not None:
+        return clip
+    poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
+    places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
+    if not places:
+        return clip
+    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
+    subject = clip.who
+    if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
+        subject = clip.find(clip)
+        clip = replace(clip, notes=subject.notes)
+    clip = replace(clip, people=(clip.at_start(subject),))
+    return track_rest(clip, session_of(clip, checkpoint=False))
+
+
+def check_height(clip: ClipState) -> ClipState:
+    """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
+    depth show; add the findings.
+    """
+    o, estimates = clip.options, clip.estimates
+    if clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
+        return clip
+    body = clip.who.body
+    if o.height is None and clip.body is None:
+        clip = clip.with_findings(*height_findings(body.stature, None, Limits()))
+    asked = o.height if clip.body is None else clip.body.stature
+    if asked is None or clip.method is not None or not clip.complete or o.looks_at == "keypoints":
+        return clip
+    poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
+    reported = measured_height(clip.source.frame, body, poses, iou)
+    off = 0.0 if reported is None else abs(reported / asked - 1)
+    if reported is None or off <= SETTINGS.subject_height_review:
+        return clip
+    severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
+    text = (
+        f"the person is {reported:.2f} m tall by what the cameras see, not {asked:.2f} m as given: leave the height "
+        "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
+    )
+    return clip.with_findings(Finding("height", (), text, size=off, severity=severity))
+
+
+CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, check_height)
+"""Passes of one or more people together, with the checks of a recording's cameras."""

@@ -8,7 +8,6 @@ its place; the others turn about the vertical and move along the floor, as in th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,44 +16,15 @@ from hypose.body.body import Body
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.frame import Frame, Silhouettes
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
-from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import different_poses
+from hypose.pipeline.sources import FrameSource, Places, placed
+from hypose.pipeline.subject import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
 
 _LONG_SOLVE = SolveSettings(iterations=12, coarse_iterations=6)
-
-
-@dataclass(frozen=True)
-class Places:
-    """Places of the cameras from frame `since` on.
-
-    camera_from_world: (C, 4, 4).
-    """
-
-    since: int
-    camera_from_world: Array
-
-
-@dataclass(frozen=True)
-class PlacedSource:
-    """Source of frames with corrected camera places; in each frame the last of the places that have begun counts."""
-
-    source: FrameSource
-    places: Sequence[Places]
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index."""
-        now = [p for p in self.places if p.since <= index]
-        found = self.source.frame(index)
-        return placed(found, now[-1].camera_from_world) if now else found
 
 
 def moved_sensors(
@@ -116,14 +86,6 @@ def moved_sensors(
 
 def _cameras(depth: Depth) -> Array:
     return np.stack([c.camera_from_world for c in depth.rig])
-
-
-def placed(frame: Frame, camera_from_world: Array) -> Frame:
-    """Return the frame with the cameras placed at camera_from_world (C, 4, 4)."""
-    depth, silhouettes = frame.the(Depth), frame.the(Silhouettes)
-    cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
-    rig = type(depth.rig)(tuple(cameras))
-    return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
 
 
 def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:

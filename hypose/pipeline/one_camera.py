@@ -14,128 +14,39 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import REVIEW, Finding
-from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.body_parts import detect_ends, end_colors
-from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhouettes
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size
-from hypose.evidence.skin import skin_map
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.io.files import read_json
 from hypose.io.videos.video import open_video
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import in_words
+from hypose.pipeline.passes import AFTER_TRACKING, ClipState, Pass, judge_joints
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
+from hypose.pipeline.sources import FrameSource, PictureFrames, RecordedFrames
+from hypose.pipeline.subject import TrackedSubject
+from hypose.tracking.error_model import probability_by_spread
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints, keypoints_on, seen_points
-from hypose.tracking.monocular.problem import SMALLEST_MASK
 from hypose.tracking.monocular.settings import MonoSettings
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
-    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.view_source import ViewSource
-
-
-@runtime_checkable
-class RecordedFrames(FrameSource, Protocol):
-    """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
-
-    recording: Recording
-    options: FrameSettings
-    rig: CameraRig
-    keypoints: Sequence[Keypoints] | None
-    frames: range
-
-    def pictures(self) -> list[ViewSource]:
-        """Open the pictures of all views; the caller closes them."""
-        ...
-
-
-class PictureFrames:
-    """Frames of a source with the undistorted picture of its one camera, at working size (`Frame.picture`).
-
-    The mask of a frame is put into its picture; where it shows no person, the picture has none. The frames of another
-    source than a FrameStream, such as a synthetic scene, have their pictures already and are not changed.
-    source: frames by number.
-    """
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source, self._pictures = source, None
-        self._kept: dict[int, Frame] = {}
-        if isinstance(source, RecordedFrames):
-            # read forwards, while the stream makes masks ahead
-            self._pictures = source.pictures()[0]
-
-    def frame(self, index: int, /) -> Frame:
-        """Read a frame with its picture, without the picture of the frame before.
-
-        index: 0 <= index < length of the source.
-        """
-        frame = self._source.frame(index)
-        if self._pictures is None or not isinstance(self._source, RecordedFrames):
-            return frame
-        seen, mask = frame.silhouettes, None
-        if seen is not None and seen.usable[0] and seen.areas[0] >= SMALLEST_MASK:
-            mask = seen.masks[0]
-        picture = Picture(self._source.rig[0], self._pictures.image(frame.index), None, mask)
-        return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
-
-    def walk(self, indices: range) -> Iterator[Frame]:
-        """Yield the frames one after the other, each with its picture and that of the frame before it.
-
-        indices: frames, forwards or backwards; "before" is meant in this direction. The first frame has a picture
-            before it too, unless the source begins (or ends) there.
-        """
-        behind = indices.start - indices.step
-        last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
-        for index in indices:
-            frame = self._read(index, indices.step)
-            if frame.picture is not None:
-                before = None if last is None or last.picture is None else last.picture.image
-                yield replace(frame, picture=replace(frame.picture, before=before))
-            else:
-                yield frame
-            last = frame
-
-    def _read(self, index: int, step: int) -> Frame:
-        """Read a frame with its picture.
-
-        index: number of the frame.
-        step: direction of the walk; below 0 several frames are read at once in their order and kept, so that the video
-            is never decoded backwards.
-        """
-        if step > 0:
-            return self.frame(index)
-        if index not in self._kept:
-            first = self.frame(index) if not self._kept else next(iter(self._kept.values()))
-            size = 1 if first.picture is None else first.picture.image.nbytes
-            self._kept = {
-                i: self.frame(i)
-                for i in range(max(0, index + 1 - max(1, SETTINGS.picture_ahead_bytes // size)), index + 1)
-            }
-        return self._kept[index]
-
-    def close(self) -> None:
-        """Release the video."""
-        if self._pictures is not None:
-            self._pictures.close()
 
 
 def depth_note(motion: Motion, modes: Modes) -> str:
@@ -158,105 +69,6 @@ def depth_note(motion: Motion, modes: Modes) -> str:
         f"median), across it to +-{across:.0f} mm; {others:.0f} other poses explain the pictures nearly as "
         f"well as the best one (median), with joints up to {spread:.0f} mm elsewhere: see modes.npz"
     )
-
-
-def tracked_frames(
-    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
-) -> Iterator[Frame]:
-    """Yield the frames that a recipe tracks, with the evidence that it needs.
-
-    source: frames by number.
-    indices: frames, forwards or backwards.
-    needs: kinds of evidence that the recipe uses, as in Recipe.
-    subject: the person; its body at the start pose shows where the skin colours are learned.
-    Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
-        colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
-    """
-    if "picture" in needs:
-        with contextlib.closing(PictureFrames(source)) as frames:
-            yield from frames.walk(indices)
-        return
-    if not (
-        "detections" in needs
-        and isinstance(source, RecordedFrames)
-        and source.keypoints is None
-        and all(view.source is not None for view in source.recording.views)
-    ):
-        yield from (source.frame(i) for i in indices)
-        return
-    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
-        yield from (coloured.frame(i) for i in indices)
-
-
-class ColourDetections:
-    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without
-    names).
-
-    The skin colours are learned from the first frame, whose pose is known. A frame depends on the recording and that
-    pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
-    masks.
-    source: frames of the recording.
-    body, start: body of the person, and its pose (D,) in the first frame.
-    Raises: InputError where the pictures are grey, or the frames have no masks.
-    """
-
-    def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
-        self.source, self.body = source, body
-        self._pictures = source.pictures()
-        first = source.frame(0).silhouettes
-        if first is None:
-            raise InputError("Skin colour is looked for inside the silhouettes; choose an evidence that has them.")
-        images = self._images(0, first)
-        if np.ptp(images.astype(np.int16), axis=-1).max() < 8:
-            raise InputError(
-                "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
-            )
-        self._colours = end_colors(body, start, first, images)
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def frame(self, index: int, /) -> Frame:
-        """Read a frame with its detections; without them where fewer than two views see the person."""
-        frame = self.source.frame(index)
-        for silhouettes in frame.of(Silhouettes):
-            centre = centre_of(silhouettes)
-            if centre is not None:
-                images = self._images(index, silhouettes)
-                maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
-                detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
-                return replace(frame, detections=detections)
-        return frame
-
-    def close(self) -> None:
-        """Release the videos."""
-        for view in self._pictures:
-            view.close()
-
-    def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
-        """Read the undistorted pictures of a frame, in the pixels of its masks.
-
-        index: frame, counted from the start of recording.frames.
-        silhouettes: masks of the frame.
-        Returns: (C, h, w, 3) BGR; black where a view is not usable.
-        """
-        out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
-        for c in np.flatnonzero(silhouettes.usable):
-            picture = self._pictures[int(c)].image(self.source.frames[index])
-            out[c, : picture.shape[0], : picture.shape[1]] = picture
-        return out
-
-
-def centre_of(silhouettes: Silhouettes) -> Array | None:
-    """Triangulate the middle of the person (3,) m from the centroids of the masks; None with fewer than two views."""
-    middle = np.zeros((len(silhouettes.masks), 1, 2))
-    for c, mask in enumerate(silhouettes.masks):
-        rows, columns = np.nonzero(mask)
-        if len(rows):
-            middle[c, 0] = columns.mean(), rows.mean()
-    seen = (silhouettes.usable & (silhouettes.areas > 0)).astype(np.float64)[:, None]
-    point, views = triangulate(silhouettes.rig, middle, seen)
-    return point[0] if views[0] >= 2 else None
 
 
 POINT_STARTS = ("auto", "keypoints")
@@ -377,7 +189,7 @@ def subject_in_picture(
     source: frames by number.
     frame_rate: Hz.
     start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.monocular.recipe.PICTURE_CUES`; only a note to the user depends on it.
+    evidence: one of `tracking.recipes.PICTURE_CUES`; only a note to the user depends on it.
     body: the person's own body; None: a body is fitted.
     height: m, where known.
     floor: height of the floor in the world, m; None: not known.
@@ -385,7 +197,7 @@ def subject_in_picture(
     """
     with contextlib.closing(PictureFrames(source)) as frames:
         template, seen = body or human(), _keypoints_of(source)
-        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        notes = [_evidence_note(source, evidence, bool(seen))]
         if start in POINT_STARTS:
             at, points = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
@@ -400,7 +212,7 @@ def subject_in_picture(
             points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
-        later = () if body is not None else _later_points(seen, at)
+        later = () if body is not None else _later_points(seen, at, len(source))
         fit = initialise(
             template,
             points_on,
@@ -428,38 +240,37 @@ def subject_in_picture(
     return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
-def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
-    """Return the key points of every frame, without reading pictures where possible."""
+def _keypoints_of(source: FrameSource) -> dict[int, Keypoints]:
+    """Return the key points by frame, without reading pictures where possible."""
     if isinstance(source, RecordedFrames):
-        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
-    return [source.frame(i).keypoints for i in range(len(source))]
+        return dict(enumerate(source.keypoints))
+    return {i: points for i in range(len(source)) for points in source.frame(i).of(Keypoints)}
 
 
 def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
     """Return the sentence that names the camera and the evidence that is used.
 
     source: frames by number.
-    evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
+    evidence: option of the command, one of `tracking.recipes.PICTURE_CUES`.
     keypoints: whether any frame has key points.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    masked = isinstance(source, RecordedFrames) and source.options.silhouettes is not None
+    masked = isinstance(source, RecordedFrames) and Silhouettes in source.kinds
     used = ["edges", "optical flow"]
     used += ["silhouettes"] if masked else []
     used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
     return f"one camera ({name}): {', '.join(used)}"
 
 
-def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
+def _later_points(seen: Mapping[int, Keypoints], first: int, stop: int) -> tuple[PointsOn, ...]:
     """Select key points of frames over the whole clip, from which lengths of the body are measured.
 
-    seen: key points of all frames.
-    first: number of the frame of the start.
+    seen: key points by frame.
+    first, stop: number of the frame of the start, and of all frames.
     Returns: functions that place the key points of a frame on a body.
     """
-    rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
-    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
-    return tuple(partial(keypoints_on, k) for k in some)
+    rows = np.unique(np.linspace(first, stop - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:].tolist()
+    return tuple(partial(keypoints_on, seen[i]) for i in rows if i in seen and _enough(seen[i]))
 
 
 def _enough(seen: Keypoints) -> bool:
@@ -467,22 +278,22 @@ def _enough(seen: Keypoints) -> bool:
     return seen_points(keypoints_on(seen, human())) >= LEAST_CLICKS
 
 
-def _first_keypoints(source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float) -> tuple[int, Keypoints]:
+def _first_keypoints(source: FrameSource, seen: Mapping[int, Keypoints], frame_rate: float) -> tuple[int, Keypoints]:
     """Find the first frame of the first second with enough key points; return its number and its key points.
 
-    seen: key points of all frames.
+    seen: key points by frame.
     frame_rate: Hz.
     Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    if not any(k is not None for k in seen):
+    if not seen:
         raise InputError(
             f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
             "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
         )
-    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
-        if k is not None and _enough(k):
-            return i, k
+    for i in range(1 + int(frame_rate)):
+        if i in seen and _enough(seen[i]):
+            return i, seen[i]
     raise EvidenceError(
         f"Camera {name}: no frame of the first second has {LEAST_CLICKS} confident key points; give --frames to begin "
         "later, or --start clicks.json."
@@ -579,3 +390,38 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
     return float(
         (away[uv[inside, 1], uv[inside, 0]] > SETTINGS.picture_outside * max(cv2.boundingRect(mask)[2:])).mean()
     )
+
+
+# ---- passes ----------------------------------------------------------------------------------------------------------
+
+
+def find_in_picture(clip: ClipState) -> TrackedSubject:
+    """Find the body and start poses of the person of a clip from the pictures of one camera."""
+    o = clip.options
+    about = {"start": o.start, "evidence": o.looks_at, "body": clip.body, "height": o.height}
+    return subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
+
+
+def assess_picture(clip: ClipState) -> ClipState:
+    """Judge the motion of one camera by its picture; the modes give the other possible poses.
+
+    The motion gets frames of low confidence and, by its covariance, the error probability of each joint; its
+    uncertainty is in the modes. Without a motion nothing is done.
+    """
+    motion = clip.motion
+    if motion is None:
+        return clip
+    assert motion.poses is not None and clip.modes is not None
+    deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
+    low_confidence = deviation > SETTINGS.picture_deviation_frame
+    before = motion.low_confidence
+    low_confidence = low_confidence if before is None else before | low_confidence
+    p = probability_by_spread(motion.joint_covariance).astype(np.float32)
+    motion = replace(motion, low_confidence=low_confidence, error_probability=p)
+    found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
+    notes = (*clip.notes, depth_note(motion, clip.modes))
+    return replace(clip, motion=motion, notes=notes).with_findings(*found)
+
+
+IN_PICTURE: tuple[Pass, ...] = tuple(assess_picture if step is judge_joints else step for step in AFTER_TRACKING)
+"""Passes of one person after tracking in the pictures of one camera."""

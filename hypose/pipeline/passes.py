@@ -1,9 +1,10 @@
 """Passes of a run over a clip, from its frames to motions that have been judged.
 
-`PASSES` lists them in the order in which they run. Each pass takes the clip (`ClipState`) as the pass before left it
-and returns a changed copy. The passes up to `TRACKING` handle one or more people together; then `clips_of_people` makes
-a clip of each person, through which the passes `AFTER_TRACKING` run. `run_pass` records in the clip's trace which
-joints a pass moved, by how much and why.
+`UNTIL_TRACKED` and `AFTER_TRACKING` list them in the order in which they run; `hypose.pipeline.track` adds those that
+check the cameras of a recording, and replaces some where there is only one camera. Each pass takes the clip
+(`ClipState`) as the pass before left it and returns a changed copy. The passes up to tracking handle one or more people
+together; then `clips_of_people` makes a clip of each person, through which the passes `AFTER_TRACKING` run. `run_pass`
+records in the clip's trace which joints a pass moved, by how much and why.
 """
 
 from __future__ import annotations
@@ -21,50 +22,23 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
-from hypose.calibration.findings import INVALID, REVIEW, Finding
+from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.prefetch import look_ahead
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.inference.layer import Memory, Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
-from hypose.pipeline import input_checks
-from hypose.pipeline.assessment import not_shown, other_people_note
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.assessment import Change, list_changes, not_shown, sentences, with_trace
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
-from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
-from hypose.pipeline.one_camera import (
-    against_the_picture,
-    depth_is_uncertain,
-    depth_note,
-    image_deviation,
-    subject_in_picture,
-    tracked_frames,
-)
 from hypose.pipeline.people import PeopleFinder
-from hypose.pipeline.retracking import (
-    backward_pass,
-    backward_pass_notes,
-    correct_left_right,
-    left_right_notes,
-    retrack_start,
-    start_notes,
-)
-from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import height_sentence, measured_height
-from hypose.pipeline.trace import Change, list_changes, with_trace
-from hypose.pipeline.track_loop import (
-    Deferred,
-    FrameSource,
-    StageProgress,
-    TrackedPerson,
-    TrackingSession,
-    tracker_of,
-)
+from hypose.pipeline.retracking import backward_pass, correct_left_right, retrack_start
+from hypose.pipeline.sources import FrameSource, Places, tracked_frames
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.track_loop import Deferred, StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
-from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -72,11 +46,17 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
+from hypose.tracking.error_model import (
+    as_mixture,
+    evidence_of,
+    judged,
+    needs_review,
+    not_in_set,
+)
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.pose_covariance import unpacked
+from hypose.tracking.refinement import unpacked
 from hypose.tracking.smoothing import Clip
 from hypose.tracking.tracker import (
     RECOVERED,
@@ -88,6 +68,13 @@ from hypose.tracking.tracker import (
 
 MODES = "modes.npz"
 _LOG = logging.getLogger(__name__)
+
+
+def find_alone(clip: ClipState) -> TrackedSubject:
+    """Find the body and start pose of the one person of a clip from masks and key points of several cameras."""
+    o, body = clip.options, clip.body
+    wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
+    return find_subject(clip.source.frame, len(clip.source), wanted)
 
 
 @dataclass(frozen=True)
@@ -104,7 +91,7 @@ class ClipState:
     folders: each person has a folder of their own in `results`.
     record: provenance of the motion.
     resume: continue from a checkpoint.
-    find_places: look for depth cameras that stand elsewhere than the source says.
+    find: finds body and start pose where the clip is of one person.
     finder: finds several people; None: the clip is of one person.
     shared_masks: the masks also show other people.
     progress: called with stage, done, total.
@@ -135,7 +122,7 @@ class ClipState:
     folders: bool = False
     record: Mapping[str, Any] = field(default_factory=dict)
     resume: bool = False
-    find_places: bool = True
+    find: Callable[[ClipState], TrackedSubject] = find_alone
     finder: PeopleFinder | None = None
     shared_masks: bool = False
     progress: StageProgress = lambda stage, done, total: None
@@ -193,6 +180,14 @@ class ClipState:
             return None
         return self.who.body.joints(np.stack([e.pose for e in self.estimates]))
 
+    def tracker_for(self, subject: TrackedSubject) -> Tracker:
+        """Build the tracker of a person of the clip."""
+        return tracker_of(subject, self.options, self.frame_rate, self.method, self.own)
+
+    def at_start(self, subject: TrackedSubject) -> TrackedPerson:
+        """Make the state before the first frame of the one person of the clip."""
+        return TrackedPerson.at_start("", subject, self.tracker_for(subject))
+
     def frames(self, numbers: range) -> Iterator[Frame]:
         """Read the frames with these numbers once more, forwards or backwards."""
         return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who)
@@ -233,35 +228,15 @@ def run_pass(step: Pass, clip: ClipState) -> ClipState:
 # ---- before tracking ---------------------------------------------------------------------------------------
 
 
-def check_evidence(clip: ClipState) -> ClipState:
-    """Check masks, key points and cameras against each other before tracking, and add the findings.
-
-    Where several people are tracked, only depth maps are checked, since the other checks are of one person.
-    """
-    options = clip.options
-    clip.progress("look", 0, 1)
-    found, others = (), ()
-    if clip.finder is not None:
-        found = input_checks.check_depth_inputs(clip.source)
-    elif not options.of_picture:
-        found = input_checks.check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
-    # wrong cameras can make one person look like two
-    more = 0 if clip.finder or input_checks.places_refuted(found) else getattr(clip.source, "others", 0)
-    if more:
-        others = (other_people_note(more, "key points", "--people all"),)
-    clip.progress("look", 1, 1)
-    return clip.with_findings(*found, *others)
-
-
 def find_people(clip: ClipState) -> ClipState:
     """Find body and start pose of each person, unless the caller gave them or an interrupted run kept them.
 
     Raises: HyposeError where no person is found; where the checks found faults, the message names them as a possible
         cause.
     """
-    session = _session(clip)
+    session = session_of(clip)
     if clip.resume and session.checkpoint is not None and session.checkpoint.exists():
-        session.load(session.checkpoint, lambda subject: _tracker(clip, subject))
+        session.load(session.checkpoint, clip.tracker_for)
     else:
         clip.progress("subject", 0, 1)
         session.people = list(clip.people or _found(clip))
@@ -274,7 +249,7 @@ def find_people(clip: ClipState) -> ClipState:
     return replace(clip, notes=(*clip.notes, *clip.who.notes))
 
 
-def _session(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
+def session_of(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     """Make the session that tracks the people of a clip from where they are.
 
     checkpoint: keep the state in the results folder.
@@ -292,30 +267,15 @@ def _found(clip: ClipState) -> tuple[TrackedPerson, ...]:
     try:
         if clip.finder is not None:
             return tuple(clip.finder.begin())
-        subject = _subject(clip)
-        return (TrackedPerson.at_start("", subject, _tracker(clip, subject)),)
+        return (clip.at_start(clip.find(clip)),)
     except HyposeError as error:
         masks = clip.options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
         guessed = getattr(clip.source, "guessed_rooms", "") if masks else ""
         # wrong cameras may also be why the masks show no person
-        why = [*([guessed] if guessed else []), *input_checks.sentences(clip.findings)]
+        why = [*([guessed] if guessed else []), *sentences(clip.findings)]
         if not why:
             raise
         raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
-
-
-def _subject(clip: ClipState) -> TrackedSubject:
-    """Find the body and start pose of the one person of a clip."""
-    o, body = clip.options, clip.body
-    if o.of_picture:
-        about = {"start": o.start, "evidence": o.looks_at, "body": body, "height": o.height}
-        return subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
-    wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
-    return find_subject(clip.source.frame, len(clip.source), wanted)
-
-
-def _tracker(clip: ClipState, subject: TrackedSubject) -> Tracker:
-    return tracker_of(subject, clip.options, clip.frame_rate, clip.method, clip.own)
 
 
 # ---- tracking ----------------------------------------------------------------------------------------------
@@ -329,10 +289,10 @@ def track_clip(clip: ClipState) -> ClipState:
     """
     if clip.options.whole_clip and clip.method is None:
         return _solve_keypoints(clip)
-    return _track(clip, _session(clip))
+    return track_rest(clip, session_of(clip))
 
 
-def _track(clip: ClipState, session: TrackingSession) -> ClipState:
+def track_rest(clip: ClipState, session: TrackingSession) -> ClipState:
     """Track the frames that a session has not tracked yet."""
     source, rest = clip.source, range(session.done, len(clip.source))
     last = source.frame(rest.start - 1) if rest and rest.start else None
@@ -378,46 +338,6 @@ def _solve_keypoints(clip: ClipState) -> ClipState:
     )
 
 
-def place_sensors(clip: ClipState) -> ClipState:
-    """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
-    done = clip.estimates
-    if not clip.find_places or not done or not clip.complete or clip.options.of_picture or clip.finder is not None:
-        return clip
-    poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
-    places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
-    if not places:
-        return clip
-    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
-    subject = clip.who
-    if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
-        subject = _subject(clip)
-        clip = replace(clip, notes=subject.notes)
-    clip = replace(clip, people=(TrackedPerson.at_start("", subject, _tracker(clip, subject)),))
-    return _track(clip, _session(clip, checkpoint=False))
-
-
-def check_height(clip: ClipState) -> ClipState:
-    """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
-    depth show; add the findings.
-    """
-    o, estimates = clip.options, clip.estimates
-    if o.of_picture or clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
-        return clip
-    body = clip.who.body
-    if o.height is None and clip.body is None:
-        clip = clip.with_findings(*input_checks.of_measured(body.stature))
-    asked = o.height if clip.body is None else clip.body.stature
-    if asked is None or clip.method is not None or not clip.complete or o.looks_at == "keypoints":
-        return clip
-    poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
-    reported = measured_height(clip.source.frame, body, poses, iou)
-    off = 0.0 if reported is None else abs(reported / asked - 1)
-    if reported is None or off <= SETTINGS.subject_height_review:
-        return clip
-    severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
-    return clip.with_findings(Finding("height", (), height_sentence(reported, asked), size=off, severity=severity))
-
-
 # ---- after tracking ----------------------------------------------------------------------------------------
 
 
@@ -461,7 +381,8 @@ def correct_sides(clip: ClipState) -> ClipState:
         clip.tracker, clip.estimates, clip.frames, sure_start=sure, memory=clip.memory
     )
     clip.progress("sides", 1, 1)
-    return clip.with_estimates(estimates, left_right_notes(exchanged))
+    text = f"left and right had been exchanged in {in_words(exchanged)}, or the body lost; tracked again the right way"
+    return clip.with_estimates(estimates, [text] if exchanged else [])
 
 
 def correct_beginning(clip: ClipState) -> ClipState:
@@ -469,7 +390,8 @@ def correct_beginning(clip: ClipState) -> ClipState:
     if not clip.estimates or not clip.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
     estimates, retracked = retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
-    return clip.with_estimates(estimates, start_notes(retracked))
+    text = f"the start was wrong in {in_words([retracked])}; tracked again backwards"
+    return clip.with_estimates(estimates, [text] if retracked else [])
 
 
 def track_backwards(clip: ClipState) -> ClipState:
@@ -479,7 +401,8 @@ def track_backwards(clip: ClipState) -> ClipState:
     progress = partial(clip.progress, "both ways")
     estimates, moved = backward_pass(clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress)
     progress(len(estimates), len(estimates))
-    return clip.with_estimates(estimates, backward_pass_notes(moved))
+    text = f"arms were found elsewhere in {moved} frames by tracking backwards"
+    return clip.with_estimates(estimates, [text] if moved else [])
 
 
 def to_motion(clip: ClipState) -> ClipState:
@@ -506,21 +429,17 @@ def mark_anomalies(clip: ClipState) -> ClipState:
     if not clip.estimates or clip.motion is None:
         return clip
     motion, said = with_anomalies(clip.motion, [e.seen for e in clip.estimates])
-    depth = () if clip.modes is None else (depth_note(motion, clip.modes),)
-    return replace(clip, motion=motion, notes=(*clip.notes, *said, *depth))
+    return replace(clip, motion=motion, notes=(*clip.notes, *said))
 
 
 def judge_joints(clip: ClipState) -> ClipState:
     """Estimate the errors of the joints, and add findings on the clip as a whole.
 
     The motion gets the error probability and covariance of each joint, the sd of the angles, and its frames of low
-    confidence; of one camera, whose uncertainty is in its modes, the frames of low confidence alone. Without a motion
-    nothing is done.
+    confidence. Without a motion nothing is done.
     """
     if clip.motion is None:
         return clip
-    if clip.modes is not None:
-        return _assess_picture(clip)
     if clip.audit is None or clip.covariance is None or clip.one_by_one is None:
         estimates = clip.estimates
         information = np.stack([e.uncertainty.information for e in estimates])
@@ -530,40 +449,28 @@ def judge_joints(clip: ClipState) -> ClipState:
             audit=np.stack([e.audit for e in estimates]),
             covariance=pose_covariance(unpacked(information, clip.who.body.skeleton.dof)),
         )
-        depth = clip.source.frame(0).depth is not None
+        depth = clip.source.frame(0).kind == "depth"
         silhouettes = clip.options.looks_at == "silhouettes"
-        points = None if silhouettes else getattr(clip.source, "keypoints", None)  # where they are in memory
+        points = () if silhouettes else getattr(clip.source, "keypoints", ())  # where they are in memory
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
     # of an interrupted run, the key points of its frames
-    motion = _with_errors(clip, "depth" if depth else None, points and points[: len(clip.audit)])
+    motion = _with_errors(clip, "depth" if depth else None, points[: len(clip.audit)])
     found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
     return replace(clip, motion=motion).with_findings(*found)
 
 
-def _assess_picture(clip: ClipState) -> ClipState:
-    """Judge the motion of one camera by its picture; the modes give the other possible poses."""
-    motion = clip.motion
-    assert motion is not None and motion.poses is not None and clip.modes is not None
-    deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
-    low_confidence = deviation > SETTINGS.picture_deviation_frame
-    before = motion.low_confidence
-    motion = replace(motion, low_confidence=low_confidence if before is None else before | low_confidence)
-    found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
-    return replace(clip, motion=motion).with_findings(*found)
-
-
-def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:
+def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None]) -> Motion:
     """Add to the motion the error probability of each joint, and standard deviations that also cover wrong joints.
 
     known: kind of evidence, where the audit does not show it.
-    points: key points of the frames; None where they are not in memory.
+    points: key points of the frames; empty where they are not in memory.
     """
     motion, subject, audit, covariance = clip.motion, clip.who, clip.audit, clip.covariance
     assert motion is not None and audit is not None and covariance is not None and clip.one_by_one is not None
     evidence = known or evidence_of(audit)
-    if points is not None and subject.keypoints is not None and any(k is not None for k in points):
+    if subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
         lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))
@@ -611,8 +518,8 @@ def keep_interrupted(clip: ClipState) -> ClipState:
     return keep_motion(mark_absence(to_motion(replace(clip, complete=False, findings=()))))
 
 
-BEFORE_TRACKING: tuple[Pass, ...] = (check_evidence, find_people)
-TRACKING: tuple[Pass, ...] = (track_clip, place_sensors, check_height)
+UNTIL_TRACKED: tuple[Pass, ...] = (find_people, track_clip)
+"""Passes of one or more people together, without those that check and correct the cameras of a recording."""
 AFTER_TRACKING: tuple[Pass, ...] = (
     trace_searches,
     correct_sides,
@@ -625,10 +532,6 @@ AFTER_TRACKING: tuple[Pass, ...] = (
     mark_absence,
     keep_motion,
 )
-UNTIL_TRACKED = (*BEFORE_TRACKING, *TRACKING)
-PASSES = (*UNTIL_TRACKED, *AFTER_TRACKING)
-"""All passes of a clip, in the order in which they run."""
-
 REASONS = {
     "place_sensors": "depth cameras stood elsewhere than the recording says; all frames were tracked again",
     "correct_sides": "left and right were exchanged, or the body was lost: tracked again from a better pose",

@@ -36,25 +36,20 @@ from hypose.evidence.keypoint_check import triangulated, undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameStream, load_keypoints
+from hypose.io.recordings.frames import FrameStream, load_keypoints, unreported
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.recorded_frames import frames_to_examine
-from hypose.pipeline.run import track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import with_outlines
+from hypose.pipeline.subject import SubjectOptions, find_subject, with_outlines
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 _Progress = Callable[[str, int, int], None]
 _METHODS = ("keypoints", "silhouettes")
 LEFT_OUT, ALL_VIEWS, TANGENTS = "Key points, one camera left out", "Key points, all cameras", "Silhouettes"
-
-
-def _ignore(stage: str, done: int, total: int) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -95,17 +90,16 @@ def window(recording: Recording, most: int) -> Recording:
     return replace(recording, frame_range=(first, first + most))
 
 
-def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
+def observe_recording(recording: Recording, most: int = 100, progress: _Progress = unreported) -> Observed:
     """Collect the evidence for a check of the calibration from at most `most` consecutive frames: key points as
     stored, and masks that are made without using the key points.
     """
     few = window(recording, most)
     person = raw_person(few)
-    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     silhouettes = list[Silhouettes | None]()
     depths: list[Depth] = []
     together = False
-    blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
+    blind = replace(few, views=tuple(v.without("keypoints") for v in few.views), keypoint_set=None)
     if all(v.has_pictures for v in few.views):
         stream, together = frames_to_examine(blind, progress)
         with stream:
@@ -115,17 +109,23 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
                 silhouettes.append(frame.silhouettes)
                 depths += frame.of(Depth)
             progress("masks", len(stream), len(stream))
-        if person is not None and (together or person.one.several):
+        if person.keypoints and (together or person.one.several):
             silhouettes = [
                 None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
-    notes = () if person is None else (*person.one.notes, *person.held)
-    if together and person is None:
+    notes = *person.one.notes, *person.held
+    if together and not person.keypoints:
         notes = ("several people stand in the masks, and are looked at together",)
     about = recording.frame_rate, recording.subject_height, notes
     return Observed(
-        few.rig, points, names, silhouettes, clips, *about, depths[:: max(1, len(depths) // SETTINGS.examine_looks)]
+        few.rig,
+        person.raw,
+        person.names,
+        silhouettes,
+        clips,
+        *about,
+        depths[:: max(1, len(depths) // SETTINGS.examine_looks)],
     )
 
 
@@ -156,10 +156,8 @@ def _clip(view: ViewSettings) -> ViewFile:
         return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
 
 
-def raw_person(recording: Recording) -> RecordedPerson | None:
-    """Load the person's key points of a recording whose calibration is in doubt, in full-size pictures; None without
-    key points.
-    """
+def raw_person(recording: Recording) -> RecordedPerson:
+    """Load the person's key points of a recording whose calibration is in doubt, in full-size pictures."""
     return load_person(recording, recording.rig.pinhole(), keep_misfits=True)
 
 
@@ -184,7 +182,7 @@ def refine_recording(
     fixed: tuple[str, ...] = (),
     height: float | None = None,
     most: int = 150,
-    progress: _Progress = _ignore,
+    progress: _Progress = unreported,
 ) -> Refinement:
     """Refine the poses of a recording's cameras (with `focal` the focal lengths) from the moving person.
 
@@ -206,11 +204,9 @@ def refine_recording(
     few = window(recording, most)
     late = np.zeros(len(few.rig)) if late is None else late
     person = raw_person(few)
-    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
-    if points is None and method != "silhouettes":
+    if not person.keypoints and method != "silhouettes":
         raise InputError(f"The recording {few.name} has no key points; refine from silhouettes.")
-    if points is not None:
-        points = np.stack([points_at(p, x) for p, x in zip(points, late, strict=True)])
+    points = np.stack([points_at(p, x) for p, x in zip(person.raw, late, strict=True)])
     n = len(few.frames)
     used = np.unique(np.linspace(0, n - 1, min(SETTINGS.examine_used, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
     if len(used) < 3:
@@ -221,11 +217,10 @@ def refine_recording(
     free = np.array([c.name not in fixed for c in few.rig])
     judged, notes = list[Silhouettes | None](), list[str]()
     if method == "keypoints":
-        assert points is not None
         refined, there = _by_points(few.rig, points, used, focal, free)
     else:
-        refined, there, judged, notes = _by_body(few, late, points is not None, used, rest, focal, free, progress)
-    factor = _scale(few.rig, refined, points, used, names, height, notes)
+        refined, there, judged, notes = _by_body(few, late, load_keypoints(few), used, rest, focal, free, progress)
+    factor = _scale(few.rig, refined, points, used, person.names, height, notes)
     refined = scale_rig(refined, factor)
     old_from_new = gauge(refined, few.rig, there * factor)
     refined = transform_rig(refined, old_from_new)
@@ -234,21 +229,21 @@ def refine_recording(
         method,
         tuple(int(few.frames[k]) for k in used),
         changes(few.rig, refined, transform(old_from_new, there * factor)),
-        _residuals((few.rig, refined), None if points is None else points[:, rest], judged),
+        _residuals((few.rig, refined), points[:, rest] if points.size else points, judged),
         tuple(notes),
     )
 
 
 def _residuals(
-    rigs: tuple[CameraRig, CameraRig], points: Array | None, silhouettes: Sequence[Silhouettes | None]
+    rigs: tuple[CameraRig, CameraRig], points: Array, silhouettes: Sequence[Silhouettes | None]
 ) -> dict[str, tuple[float, float]]:
     """Compute the median residuals with the old and the new cameras on frames that were not used; see `Refinement`.
 
-    points: (C, T, K, 3) distorted px, and confidence; None without key points.
+    points: (C, T, K, 3) distorted px, and confidence; T is 0 without key points.
     silhouettes: masks of some of the frames.
     """
     out: dict[str, tuple[float, float]] = {}
-    if points is not None:
+    if points.size:
         seen = [undistorted(rig, points) for rig in rigs]
         flat = [(uv.reshape(len(uv), -1, 2), confidence.reshape(len(uv), -1)) for uv, confidence in seen]
         for what, measure in ((LEFT_OUT, left_out_residual), (ALL_VIEWS, point_residual)):
@@ -292,7 +287,7 @@ def _poses_into(full: CameraRig, refined: CameraRig) -> CameraRig:
 def _by_body(
     recording: Recording,
     late: Array,
-    start_from_points: bool,
+    keypoints: Sequence[Keypoints],
     used: NDArray[np.int64],
     rest: NDArray[np.int64],
     focal: bool,
@@ -300,7 +295,7 @@ def _by_body(
     progress: _Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
     # masks that do not depend on the key points
-    blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
+    blind = replace(recording, views=tuple(v.without("keypoints") for v in recording.views), keypoint_set=None)
     with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
         frames = list[Frame]()
@@ -309,8 +304,7 @@ def _by_body(
             frames.append(source.frame(int(k)))
         progress("masks", len(used), len(used))
         judged = [source.frame(int(k)).silhouettes for k in rest[:: max(1, len(rest) // 16)]]
-        keypoints = load_keypoints(recording) if start_from_points else None
-        if keypoints is not None:
+        if keypoints:
             shown = np.stack([k.points for k in keypoints], 1)
             shown = np.stack([points_at(p, float(x)) for p, x in zip(shown, late, strict=True)], 1)
             body, poses, notes = _start_from_points(frames, [replace(keypoints[k], points=shown[k]) for k in used])
@@ -355,14 +349,14 @@ def _start_from_masks(
 def _scale(
     old: CameraRig,
     new: CameraRig,
-    points: Array | None,
+    points: Array,
     used: NDArray[np.int64],
     names: tuple[str, ...],
     height: float | None,
     notes: list[str],
 ) -> float:
     """Compute the scale factor that keeps the length of the person's limbs, or makes the person as tall as given."""
-    if points is None:
+    if not points.size:
         return 1.0  # the size of the body has fixed the scale
     try:
         worlds = [triangulated(rig, points[:, used]) for rig in (old, new)]

@@ -27,17 +27,15 @@ from hypose.body.body import Body
 from hypose.compute.threads import in_background
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import look_ahead
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.pipeline.frame_anomalies import in_words, looked_again
+from hypose.pipeline.frame_anomalies import looked_again
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
-from hypose.tracking.pose_covariance import uncertainty_of_pose
-from hypose.tracking.refinement import RIVAL, mismatch
+from hypose.tracking.refinement import RIVAL, mismatch, uncertainty_of_pose
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
@@ -96,28 +94,6 @@ def retrack_start(
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
     out[:at] = better[::-1]
     return out, range(max(moved, default=-1) + 1)
-
-
-def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
-    """Write the note for the user that left and right were corrected.
-
-    replaced: ranges of frames that were tracked again.
-    Returns: one sentence; empty where there is no such range.
-    """
-    if not replaced:
-        return ()
-    return (
-        f"left and right had been exchanged in {in_words(replaced)}, or the body lost; tracked again the right way",
-    )
-
-
-def start_notes(replaced: range) -> tuple[str, ...]:
-    """Write the note for the user that the first frames were tracked again.
-
-    replaced: range of frames that were tracked again.
-    Returns: one sentence; empty where the range is empty.
-    """
-    return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
@@ -346,15 +322,6 @@ def backward_pass(
     return out, moved
 
 
-def backward_pass_notes(moved: int) -> tuple[str, ...]:
-    """Write the note for the user that arms were tracked backwards.
-
-    moved: number of frames in which an arm moved.
-    Returns: one sentence; empty where no arm moved.
-    """
-    return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
-
-
 def _known(estimate: FrameEstimate) -> bool:
     return not (estimate.lost or estimate.extrapolated)
 
@@ -399,7 +366,7 @@ def _looked_back(
     with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
         for t, (frame, last) in zip(most, with_last(coming), strict=False):
             prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-            if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
+            if not prepared.silhouettes.seen or frame.kind == "depth" or not _known(old[t]):
                 break
             state, back = tracker.step(state, frame)
             if not _known(back):

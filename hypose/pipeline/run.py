@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,36 +16,23 @@ from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
 from hypose.errors import HyposeError, InputError, extra
-from hypose.evidence.cues import OwnEvidence
-from hypose.geometry import Array
-from hypose.inference.layer import Recipe
+from hypose.geometry import Array, runs
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
-from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.moved_sensors import Places
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
     UNTIL_TRACKED,
     ClipState,
+    Pass,
     clips_of_people,
     keep_interrupted,
     run_pass,
 )
-from hypose.pipeline.people import PeopleFinder
-from hypose.pipeline.person_paths import (
-    KeypointPeople,
-    KnownPerson,
-    PointFrames,
-    names_at_places,
-    padded,
+from hypose.pipeline.sources import Places
+from hypose.pipeline.track_management import (
     per_frame,
-    said_of_places,
 )
-from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, tracker_of
-from hypose.pipeline.track_management import untracked_note
-from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.contacts import runs
 
 
 @dataclass(frozen=True)
@@ -192,149 +179,14 @@ def load_tracked(folder: str | Path) -> TrackResult:
     return TrackResult(motion, body, True, (), judged=judged, findings=judged.findings)
 
 
-def track_source(
-    source: FrameSource,
-    frame_rate: float,
-    options: TrackOptions,
-    *,
-    body: Body | None = None,
-    subject: TrackedSubject | None = None,
-    results: ResultsFolder | None = None,
-    record: Mapping[str, Any] | None = None,
-    resume: bool = False,
-    progress: StageProgress | None = None,
-    method: Recipe | None = None,
-    own: Sequence[OwnEvidence] = (),
-    find_places: bool = True,
-) -> TrackResult:
-    """Track one person in the frames of a source.
-
-    frame_rate: Hz.
-    body: the subject's own body, for which only the start pose is searched; None: the human template, fitted.
-    subject: known body and start pose; nothing is searched.
-    results: folder for motion.npz, which is written at the end or when interrupted, and for a checkpoint, which is
-        written every `checkpoint_every` frames, later after each twentieth of the frames so far.
-    record: provenance of the motion; to resume a run its identity must match.
-    resume: continue from the checkpoint in `results`.
-    progress: called with stage, done, total.
-    method: recipe of your own that replaces that of the options.
-    own: evidence in addition to that of the frames.
-    find_places: correct depth cameras that stand elsewhere than the source says.
-    Raises: InputError where the source has no frames.
-    """
-    clip = ClipState(
-        source,
-        frame_rate,
-        options,
-        body=body,
-        method=method,
-        own=own,
-        results=results,
-        record=record or {},
-        resume=resume,
-        find_places=find_places,
-        progress=progress or (lambda stage, done, total: None),
-        given=subject is not None,
-    )
-    if subject is not None:
-        tracker = tracker_of(subject, options, frame_rate, method, own)
-        clip = replace(clip, people=(TrackedPerson.at_start("", subject, tracker),))
-    return _run(clip)[1][0]
-
-
-def track_people(
-    source: FrameSource,
-    frame_rate: float,
-    options: TrackOptions,
-    *,
-    count: int | None = None,
-    wanted: Sequence[KnownPerson] = (),
-    points: KeypointPeople | None = None,
-    folders: bool = True,
-    **kept: Any,
-) -> PeopleResult:
-    """Track several people in the frames of a source.
-
-    frame_rate: Hz.
-    count: most results; None: all people. Those beyond are tracked too, since they hide the others.
-    wanted: prior knowledge of some of them.
-    points: key points sorted by person, for the evidence 'keypoints' and 'both'.
-    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
-        for is written into it.
-    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
-        (function of stage, done, total), the same as those of `track_source`.
-    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
-    """
-    kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
-    if options.of_picture:
-        raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
-    if options.looks_at == "keypoints":
-        return _by_keypoints(source, frame_rate, options, count, wanted, points, kept)
-    if options.looks_at == "both" and points is None:
-        raise InputError("The evidence 'both' needs key points, and this recording has none; use silhouettes.")
-    used = points if options.looks_at == "both" else None
-    finder = PeopleFinder(source, frame_rate, options, count, wanted, used)
-    clip, done = _run(ClipState(source, frame_rate, options, finder=finder, folders=folders, **kept))
-    complete, names = all(p.complete for p in done), [p.name for p in clip.people]
-    said = *_who_is_there(done, frame_rate), *untracked_note(clip.candidates)
-    said += tuple(w.not_found for w in wanted if w.name not in names)
-    said += said_of_places(wanted, len(names))
-    return PeopleResult(tuple(done), complete, said, len(names) - len(done), clip.findings)
-
-
-def _by_keypoints(
-    source: FrameSource,
-    frame_rate: float,
-    options: TrackOptions,
-    count: int | None,
-    wanted: Sequence[KnownPerson],
-    points: KeypointPeople | None,
-    kept: dict[str, Any],
-) -> PeopleResult:
-    """Track people by key points alone, each as if they were alone, since key points are sorted by person."""
-    if points is None or not points.tracks:
-        raise InputError(
-            "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
-            "with `hypose check`, or use silhouettes."
-        )
-    total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
-    where, ranks = [points.tracks[k] for k in tracks], {w.name: k for k, w in enumerate(wanted)}
-    names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
-    ranked = sorted(range(len(tracks)), key=lambda k: ranks.get(names[k], len(ranks)))
-    results = kept.pop("results", None)
-    for k in ranked[:count]:
-        known = next((w for w in wanted if w.name == names[k]), KnownPerson(names[k]))
-        frames = PointFrames(source, points, tracks[k])
-        own, folder = replace(options, height=known.height or options.height), None
-        if results is not None:
-            folder = ResultsFolder(results.path / names[k])
-        out = track_source(frames, frame_rate, own, body=known.body, results=folder, **kept)
-        present = np.zeros(total, dtype=np.bool_)
-        present[frames.first : frames.first + len(out.motion)] = True
-        out = replace(out, motion=padded(out.motion, frames.first, total), name=names[k], present=present)
-        if folder is not None:
-            save_motion(out.motion, folder.motion)
-        done.append(out)
-        if not out.complete:
-            break
-    said = *_who_is_there(done, frame_rate), *said_of_places(wanted, len(tracks))
-    return PeopleResult(tuple(done), all(p.complete for p in done), said, len(tracks) - len(done))
-
-
-def _who_is_there(people: Sequence[TrackResult], frame_rate: float) -> tuple[str, ...]:
-    """Return sentences on who was there, and when."""
-    said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
-    for p in people:
-        at = np.flatnonzero(p.there)
-        if 0 < len(at) < len(p.motion):
-            said.append(f"{p.name} is there from {at[0] / frame_rate:.1f} to {(at[-1] + 1) / frame_rate:.1f} s")
-    return tuple(said)
-
-
-def _run(clip: ClipState) -> tuple[ClipState, list[TrackResult]]:
+def run_clip(
+    clip: ClipState, together: Sequence[Pass] = UNTIL_TRACKED, alone: Sequence[Pass] = AFTER_TRACKING
+) -> tuple[ClipState, list[TrackResult]]:
     """Run all passes: find and track the people of a clip together, then finish the clip of each.
 
     A KeyboardInterrupt after the first tracked frame keeps and writes what was tracked; before it, it is raised.
+    together: passes of all people.
+    alone: passes of each person, after tracking.
     Returns: the clip after tracking, and the results of the people who are asked for.
     Raises: InputError where the source has no frames; the error that ended tracking after some frames, when these have
         been written.
@@ -342,7 +194,7 @@ def _run(clip: ClipState) -> tuple[ClipState, list[TrackResult]]:
     if len(clip.source) == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     try:
-        for step in UNTIL_TRACKED:
+        for step in together:
             clip = run_pass(step, clip)
     except KeyboardInterrupt:
         if not clip.estimates:
@@ -354,7 +206,7 @@ def _run(clip: ClipState) -> tuple[ClipState, list[TrackResult]]:
             with contextlib.suppress(HyposeError):  # the first error is the one to report
                 keep_interrupted(own)
             continue
-        done.append(finish(replace(own, complete=own.complete and all(p.complete for p in done))))
+        done.append(finish(replace(own, complete=own.complete and all(p.complete for p in done)), alone))
     if clip.error is not None and results is not None:
         kept = f"The {len(clip.estimates)} frames before are kept in {results.path}; see --resume."
         raise type(clip.error)(f"{clip.error} {kept}") from clip.error
@@ -363,10 +215,10 @@ def _run(clip: ClipState) -> tuple[ClipState, list[TrackResult]]:
     return clip, done
 
 
-def finish(clip: ClipState) -> TrackResult:
+def finish(clip: ClipState, alone: Sequence[Pass] = AFTER_TRACKING) -> TrackResult:
     """Correct, smooth, judge and write a clip of one person that has been tracked."""
     try:
-        for step in AFTER_TRACKING:
+        for step in alone:
             clip = run_pass(step, clip)
     except KeyboardInterrupt:
         if not clip.estimates:

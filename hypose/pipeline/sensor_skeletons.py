@@ -24,7 +24,7 @@ from hypose.evidence.frame import TRACKED, Frame, SensorJoints
 from hypose.evidence.terms import PointTerm
 from hypose.fitting import fit_clip
 from hypose.fusion import joints as jt
-from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.align import offset_by_movement
 from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
@@ -37,9 +37,11 @@ from hypose.io.sensors.skeleton_streams import (
     shifted,
 )
 from hypose.pipeline.assessment import Assessment, assess
-from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameSource, StageProgress
+from hypose.pipeline.sources import FrameSource
+from hypose.pipeline.track import track_source
+from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints

@@ -189,6 +189,7 @@ class PipelineSettings:
     newcomer_drawn_s: Time within which a new person is found by the next looks, s.
     picture_target_px: Size of the person in the pictures that are used, px: larger ones cost time, smaller ones limbs.
     picture_smallest_side: Smallest longer side of these pictures, px.
+    picture_smallest_mask: A mask of fewer pixels shows no person.
     picture_ahead_bytes: Memory for pictures that are read forwards and kept, so that no video is decoded backwards.
     picture_click_share: Standard deviation of a click, as a share of the person's size in the picture.
     picture_length_frames: Additional frames with key points from which the lengths of an unknown body are estimated.
@@ -442,6 +443,7 @@ class PipelineSettings:
     newcomer_drawn_s: float = 0.4
     picture_target_px: float = 250.0
     picture_smallest_side: int = 320
+    picture_smallest_mask: int = 50
     picture_ahead_bytes: int = 250_000_000
     picture_click_share: float = 0.010
     picture_length_frames: int = 10

@@ -8,7 +8,7 @@ Where the person is alone, the frame decides that is explained best.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +23,18 @@ from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weigh_starts
-from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import (
+    KNOWN_POSES,
+    Start,
+    Starts,
+    by_their_ways,
+    hull_of,
+    recover,
+    scaled_to_height,
+    start_in_pose,
+    starts_in_frame,
+    weigh_starts,
+)
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
 # ---- subject checks ------------------------------------------------------------------------------------------------
@@ -42,7 +51,7 @@ def no_two_views(frame: Frame) -> str:
     """
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
-    if frame.depth is not None:
+    if frame.kind == "depth":
         return (
             f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where a person stands "
             "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."
@@ -187,16 +196,11 @@ def way_of(
         found[k] = estimate
         if best is None or len(found) < SETTINGS.choice_enough:
             continue
-        if _mean_more(found, best) > SETTINGS.choice_hopeless:
+        more = np.array([e.cost - best.costs[t] for t, e in found.items()])
+        if np.nan_to_num(more).mean() > SETTINGS.choice_hopeless:
             return None
     costs = np.array([found[k].cost for k in range(len(frames))])
     return StartTrial(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
-
-
-def _mean_more(found: Mapping[int, FrameEstimate], best: StartTrial) -> float:
-    """Compute by how much more the tracked frames cost than the same frames of the best trial, on average."""
-    more = np.array([e.cost - best.costs[k] for k, e in found.items()])
-    return float(np.nan_to_num(more).mean())
 
 
 @dataclass(frozen=True)
@@ -273,16 +277,13 @@ def best_ways(
         raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
     if alone is not None and not tried and (len(found) == 1 or not shared):
         return alone[1]
-    return _by_all_frames(frames, rate, [*tried, *_likely(found)], seed)
-
-
-def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
-    return [
+    likely = [
         (k, start)
         for k, starts in found
         for start, weight in list(zip(starts.starts, starts.weights, strict=True))[: SETTINGS.choice_best]
         if weight > SETTINGS.choice_likely
     ]
+    return _by_all_frames(frames, rate, [*tried, *likely], seed)
 
 
 def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:

@@ -1,32 +1,59 @@
-"""Track a recording in one call, without files: `track`, which `import hypose` offers."""
+"""Track a source of frames, or a recording in one call, without files: `track`, which `import hypose` offers.
+
+Here it is chosen which passes run: `CHECKED` and `AFTER_TRACKING` for several cameras, with one camera `IN_PICTURE`.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, overload
 
+import numpy as np
+
 from hypose.body.body import Body
+from hypose.body.motion import Motion
 from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
-from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.frame import Frame
 from hypose.inference.layer import Recipe
+from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
-from hypose.pipeline.assessment import other_people_note
-from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, said_of_places
+from hypose.pipeline.assessment import (
+    later,
+    other_people_note,
+    trace_of,
+    with_trace,
+)
+from hypose.pipeline.input_checks import CHECKED, place_sensors, places_refuted
+from hypose.pipeline.one_camera import IN_PICTURE, find_in_picture
+from hypose.pipeline.passes import (
+    AFTER_TRACKING,
+    UNTIL_TRACKED,
+    ClipState,
+)
+from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
-from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
-from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameList, FrameSource, StageProgress
+from hypose.pipeline.run import PeopleResult, TrackResult, run_clip
+from hypose.pipeline.sources import FrameList, FrameSource
+from hypose.pipeline.subject import TrackedSubject, load_subject
+from hypose.pipeline.track_loop import StageProgress
+from hypose.pipeline.track_management import (
+    KeypointPeople,
+    KnownPerson,
+    names_at_places,
+    per_frame,
+    said_of_places,
+    untracked_note,
+)
 from hypose.pipeline.track_options import TrackOptions
 
 
@@ -199,9 +226,9 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     none.
     """
     found = load_person(recording, small)
-    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+    if not found.one.by_rays:
         return None
-    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+    return KeypointPeople(found.one.people, found.names, small)
 
 
 def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:
@@ -251,3 +278,178 @@ def track_one_of(
         text = f"{wanted[0].not_found}; the result is that of another person"
         found_so.append(Finding("other person", (), text, "correct place and time of the [[person]] in recording.toml"))
     return replace(one, findings=tuple(found_so), name="", present=None)
+
+
+def track_source(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    *,
+    body: Body | None = None,
+    subject: TrackedSubject | None = None,
+    results: ResultsFolder | None = None,
+    record: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    progress: StageProgress | None = None,
+    method: Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+    find_places: bool = True,
+) -> TrackResult:
+    """Track one person in the frames of a source.
+
+    frame_rate: Hz.
+    body: the subject's own body, for which only the start pose is searched; None: the human template, fitted.
+    subject: known body and start pose; nothing is searched.
+    results: folder for motion.npz, which is written at the end or when interrupted, and for a checkpoint, which is
+        written every `checkpoint_every` frames, later after each twentieth of the frames so far.
+    record: provenance of the motion; to resume a run its identity must match.
+    resume: continue from the checkpoint in `results`.
+    progress: called with stage, done, total.
+    method: recipe of your own that replaces that of the options.
+    own: evidence in addition to that of the frames.
+    find_places: correct depth cameras that stand elsewhere than the source says.
+    Raises: InputError where the source has no frames.
+    """
+    clip = ClipState(
+        source,
+        frame_rate,
+        options,
+        body=body,
+        method=method,
+        own=own,
+        results=results,
+        record=record or {},
+        resume=resume,
+        progress=progress or (lambda stage, done, total: None),
+        given=subject is not None,
+    )
+    if subject is not None:
+        clip = replace(clip, people=(clip.at_start(subject),))
+    together, alone = CHECKED, AFTER_TRACKING
+    if not find_places:
+        together = tuple(step for step in CHECKED if step is not place_sensors)
+    if options.of_picture:
+        together, alone, clip = UNTIL_TRACKED, IN_PICTURE, replace(clip, find=find_in_picture)
+    return run_clip(clip, together, alone)[1][0]
+
+
+def track_people(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    *,
+    count: int | None = None,
+    wanted: Sequence[KnownPerson] = (),
+    points: KeypointPeople | None = None,
+    folders: bool = True,
+    **kept: Any,
+) -> PeopleResult:
+    """Track several people in the frames of a source.
+
+    frame_rate: Hz.
+    count: most results; None: all people. Those beyond are tracked too, since they hide the others.
+    wanted: prior knowledge of some of them.
+    points: key points sorted by person, for the evidence 'keypoints' and 'both'.
+    folders: each person has a folder of their own in the results folder; else the motion of the one person who is asked
+        for is written into it.
+    kept: results (folder for files), record (provenance), resume (continue from the checkpoint) and progress
+        (function of stage, done, total), the same as those of `track_source`.
+    Raises: InputError where the evidence cannot separate people; EvidenceError where no person is found.
+    """
+    kept = {"progress": lambda stage, done, total: None} | {k: v for k, v in kept.items() if v is not None}
+    if options.of_picture:
+        raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
+    if options.looks_at == "keypoints":
+        return _by_keypoints(source, frame_rate, options, count, wanted, points, kept)
+    if options.looks_at == "both" and points is None:
+        raise InputError("The evidence 'both' needs key points, and this recording has none; use silhouettes.")
+    used = points if options.looks_at == "both" else None
+    finder = PeopleFinder(source, frame_rate, options, count, wanted, used)
+    clip = ClipState(source, frame_rate, options, finder=finder, folders=folders, **kept)
+    clip, done = run_clip(clip, CHECKED)
+    complete, names = all(p.complete for p in done), [p.name for p in clip.people]
+    said = *_who_is_there(done, frame_rate), *untracked_note(clip.candidates)
+    said += tuple(w.not_found for w in wanted if w.name not in names)
+    said += said_of_places(wanted, len(names))
+    return PeopleResult(tuple(done), complete, said, len(names) - len(done), clip.findings)
+
+
+def _by_keypoints(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    count: int | None,
+    wanted: Sequence[KnownPerson],
+    points: KeypointPeople | None,
+    kept: dict[str, Any],
+) -> PeopleResult:
+    """Track people by key points alone, each as if they were alone, since key points are sorted by person."""
+    if points is None or not points.tracks:
+        raise InputError(
+            "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
+            "with `hypose check`, or use silhouettes."
+        )
+    total, done, tracks = len(source), list[TrackResult](), points.lasting(len(source))
+    where, ranks = [points.tracks[k] for k in tracks], {w.name: k for k, w in enumerate(wanted)}
+    names = names_at_places(wanted, len(where), lambda k, t: where[k].place(t)[:2], frame_rate)
+    ranked = sorted(range(len(tracks)), key=lambda k: ranks.get(names[k], len(ranks)))
+    results = kept.pop("results", None)
+    for k in ranked[:count]:
+        known = next((w for w in wanted if w.name == names[k]), KnownPerson(names[k]))
+        frames = PointFrames(source, points, tracks[k])
+        own, folder = replace(options, height=known.height or options.height), None
+        if results is not None:
+            folder = ResultsFolder(results.path / names[k])
+        out = track_source(frames, frame_rate, own, body=known.body, results=folder, **kept)
+        present = np.zeros(total, dtype=np.bool_)
+        present[frames.first : frames.first + len(out.motion)] = True
+        out = replace(out, motion=padded(out.motion, frames.first, total), name=names[k], present=present)
+        if folder is not None:
+            save_motion(out.motion, folder.motion)
+        done.append(out)
+        if not out.complete:
+            break
+    said = *_who_is_there(done, frame_rate), *said_of_places(wanted, len(tracks))
+    return PeopleResult(tuple(done), all(p.complete for p in done), said, len(tracks) - len(done))
+
+
+def _who_is_there(people: Sequence[TrackResult], frame_rate: float) -> tuple[str, ...]:
+    """Return sentences on who was there, and when."""
+    said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
+    for p in people:
+        at = np.flatnonzero(p.there)
+        if 0 < len(at) < len(p.motion):
+            said.append(f"{p.name} is there from {at[0] / frame_rate:.1f} to {(at[-1] + 1) / frame_rate:.1f} s")
+    return tuple(said)
+
+
+class PointFrames:
+    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
+
+    track: number of the track in `points`.
+    """
+
+    def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
+        self._source, self._points, self._track = source, points, track
+        self.first = points.tracks[track].first
+        self._count = len(points.tracks[track])
+
+    def __len__(self) -> int:
+        return self._count
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index, counted from the first frame of the track."""
+        t = self.first + index
+        return replace(self._source.frame(t), silhouettes=None, keypoints=self._points.of(self._track, t))
+
+
+def padded(motion: Motion, first: int, total: int) -> Motion:
+    """Extend a motion of the frames first, first + 1, ... to `total` frames: outside, its first and last frame are
+    repeated and marked as lost and extrapolated.
+    """
+    rows = np.clip(np.arange(total) - first, 0, len(motion) - 1)
+    outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))
+    arrays = per_frame(motion, rows) | {"times": np.arange(total) / motion.frame_rate}
+    out = replace(motion, **arrays)
+    out = replace(out, lost=out.lost | outside, extrapolated=out.extrapolated | outside)
+    return with_trace(out, later(trace_of(motion), first))

@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,7 @@ from hypose.tracking.arm_hypotheses import RefineRivals
 from hypose.tracking.arm_workspace import arm_reach, in_practice
 from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
-from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
-from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import (
     COMPOSITE,
@@ -41,9 +40,10 @@ from hypose.tracking.refinement import (
     SolvePrediction,
     settled_start,
     solved,
+    uncertainty_of_pose,
 )
 from hypose.tracking.smoothing import smooth_clip
-from hypose.tracking.starts import recover
+from hypose.tracking.start_search import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
 DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."
@@ -51,7 +51,14 @@ MACCORMICK = (
     "MacCormick, J., Isard, M. (2000). Partitioned sampling, articulated objects, and interface-quality hand tracking."
 )
 ISARD = "Isard, M., Blake, A. (1998). CONDENSATION - conditional density propagation for visual tracking. IJCV 29(1)."
+TRIGGS = (
+    "Sminchisescu & Triggs 2001, A robust multiple hypothesis approach to monocular human motion tracking, with a "
+    "constant-velocity prediction, calibrated regions and mirrored limbs at the start."
+)
 CONTOURS = "Particles as proposals, bounded robust Gauss-Newton on two-way contours as the refinement (hypose)."
+
+PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
+"""Cues of one camera used in addition to edges and flow: all there is, nothing, masks, key points, or both."""
 
 _TURNS = ((0, 4), (2, 4), (0, 2), (1, 2))
 """(turn, period) of each of LIMB_LAYERS: an arm is searched in every frame (the two in turn), a leg in every other one.
@@ -175,19 +182,28 @@ class Preset:
     """Description of a named recipe that is not built for a body yet: how to build it, and which evidence it can
     use.
 
-    make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options.
+    make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options. Or
+        "module:function", which is imported when the recipe is chosen.
     citation: source of the method.
     whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
     needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
     evidence: the choices of evidence, the default first.
     """
 
-    make: Callable[..., Recipe]
+    make: Callable[..., Recipe] | str
     citation: str
     whole_clip: bool = False
     needs: tuple[str, ...] = ()
     likes: tuple[str, ...] = ()
     evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
+
+    @property
+    def build(self) -> Callable[..., Recipe]:
+        """Function that builds the recipe."""
+        if not isinstance(self.make, str):
+            return self.make
+        module, _, name = self.make.partition(":")
+        return getattr(import_module(module), name)
 
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
         """Check that the recipe has this kind of evidence and these options.
@@ -200,10 +216,9 @@ class Preset:
             raise InputError(f"The recipe {name!r} has no evidence {evidence!r}; choose {choices}.")
         if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
             raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
-        known = inspect.signature(self.make).parameters
         for option in options:
-            if option not in known:
-                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.make).parameters]
+            if option not in inspect.signature(self.build).parameters:
+                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.build).parameters]
                 raise InputError(
                     f"The recipe {name!r} has no option {option!r}; leave it out, or choose the recipe "
                     f"{' or '.join(having) or 'that has it'}."
@@ -222,7 +237,9 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
     "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
-    "monocular": Preset(monocular, TRIGGS, needs=("picture",), evidence=PICTURE_CUES),
+    "monocular": Preset(
+        "hypose.tracking.monocular.recipe:monocular", TRIGGS, needs=("picture",), evidence=PICTURE_CUES
+    ),
 }
 
 
@@ -245,7 +262,7 @@ def recipe(
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
     count = {} if particles is None else {"particles": particles}
-    made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
+    made = RECIPES[name].build(body, frame_rate=frame_rate, **count, **own)
     if refine and made.smooth is None:  # solved poses have been refined
         made = _refined(made)
     return replace(made, citation=citation_of(name, refine))

@@ -78,7 +78,7 @@ def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
         ("not part of this result", results, 8, pose, {}, ()),
         ("not part of this result", results, 3, pose, {}, ("--until", 3)),
         ("not part of this result", results, 3, pose, {"since": 4}, ()),
-        ("whole numbers", results, 3, pose, {"until": "end"}, ()),
+        ("corrected pose", results, 3, pose, {"until": "end"}, ()),
         ("another body", results, 3, pose[:-1], {}, ()),
         ("folder of its own", results, 3, pose, {}, ("--out", results)),
         ("lies in no recording", alone, 3, [0.0], {}, ()),
@@ -86,5 +86,5 @@ def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
         fails(hypose("correct", folder, clicks(recording, frame, clicked, **about), *more), wrong)
     for text in ("", "{}", "[1]", '{"format": "hypose-clicks", "frame": 1, "pose": ["x"]}'):
         (tmp_path / "bad.json").write_text(text)
-        with pytest.raises(InputError, match=r"clicked pose|empty"):
+        with pytest.raises(InputError, match=r"corrected pose|empty"):
             read_correction(tmp_path / "bad.json")

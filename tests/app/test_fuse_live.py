@@ -122,15 +122,6 @@ def test_garbage_is_counted_and_told_of_once():
     assert any(f["people"] for f in frames)
 
 
-def test_a_flood_is_cut():
-    async def play(server):
-        for _ in range(50):
-            server.take(next(lines_at(0.0)))
-
-    _, _, server, notes = live(play, burst=10.0, lines_per_s=1.0)
-    assert server.ignored >= 39 and "more lines arrive than are taken" in notes[0]
-
-
 def test_lines_by_websocket_with_answers_to_bad_ones():
     async def play(server):
         async with connect(f"ws://127.0.0.1:{server.ws_port}/in") as sender:
@@ -168,7 +159,7 @@ def test_other_paths_and_foreign_pages_are_refused():
     live(play)
 
 
-def test_the_token_is_asked_for_and_strangers_use_up_no_lines():
+def test_the_token_is_asked_for():
     token = "a-good-token"
     odd = [b'{"sensor": "s0", "time": 1, "token": "\\ud800", "joints": null}', b"\xff\xfe" * 50, b'{"token": 1}']
 
@@ -183,7 +174,7 @@ def test_the_token_is_asked_for_and_strangers_use_up_no_lines():
         for line in lines_at(0.0, token=token):
             server.take(line)
 
-    _, _, server, notes = live(play, token=token, lines_per_s=0.001, burst=4.0)
+    _, _, server, notes = live(play, token=token)
     assert server.ignored == 61 and server.used == 3 and "token" in notes[0]
 
 

@@ -92,7 +92,7 @@ def test_a_recording_is_played_recorded_and_loaded(hypose, walk, tmp_path, monke
     in_step(monkeypatch)
     code, out, err = hypose("live", walk, "--ws", 0, "--record", tmp_path / "monday")
     assert code == 0, err
-    assert "Poses out:  ws://127.0.0.1:" in out and "Recorded: " in out and "Traceback" not in err
+    assert "Poses out:  ws://127.0.0.1:" in out and "Recorded as " in out and "Traceback" not in err
     rows = [json.loads(line) for line in (tmp_path / "monday" / "poses.jsonl").read_text().splitlines()]
     assert len(rows) > 60 and [r["n"] for r in rows] == list(range(len(rows)))
     assert all(len(r["people"]) == 1 for r in rows[20:])

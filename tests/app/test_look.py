@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.reports.charts import LEFT_COLOUR, Axes, chart
 from hypose.app.reports.report import report_html
+from hypose.app.reports.report_parts import LEFT_COLOUR, Axes, chart
 from hypose.app.reports.result_pictures import mask_outline
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.default_body import human
@@ -53,7 +53,7 @@ def test_masks_can_be_given_back(hypose, recording):
     toml = recording / "recording.toml"
     given = re.sub(r'name = "(cam\d)"\n', r'name = "\1"\nmasks = "results/silhouettes/\1"\n', toml.read_text())
     toml.write_text(given)
-    assert all(v.masks is not None for v in load_recording(recording).views)
+    assert all("masks" in v.files for v in load_recording(recording).views)
     code, out, err = hypose("check", recording)
     assert code == 0, out + err
 
@@ -94,7 +94,7 @@ def test_the_report_says_what_went_wrong(result):
     nothing = np.full(8, np.nan)
     bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_covariance=np.full((8, 19, 3, 3), np.nan))
     notes = ['View <cam1>: "dark" & blurred']
-    page = report_html(ViewResult("a < b", bad, body, recording.rig, notes=notes, complete=False))
+    page = report_html(ViewResult("a < b", bad, body, recording, notes=notes, complete=False))
     assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page
     assert "interrupted" in page and "No silhouettes were used" in page
     assert "<b>3</b><span>frames lost" in page

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from hypose.app.jobs.cite import papers_of
+from hypose.app.commands.commands_results import papers_of
 from hypose.compute import compiled, warming
 from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 from hypose.errors import InputError
@@ -31,7 +31,7 @@ def test_a_folder_of_videos_becomes_a_recording(hypose, tiny, folder):
     shutil.copy(tiny / "calibration.toml", folder)
     made, original = load_recording(folder), load_recording(tiny)
     assert [v.name for v in made.views] == [v.name for v in original.views]
-    assert all(v.background is not None and v.background.parent.name == "background" for v in made.views)
+    assert all(v.files["background"].parent.name == "background" for v in made.views)
     before = (folder / "recording.toml").read_bytes()
     fails(hypose("init", folder), "exists and stays as it is", "hypose check")
     assert (folder / "recording.toml").read_bytes() == before

@@ -89,7 +89,7 @@ def test_what_cannot_be_read_is_left_out_and_named(folder):
     assert any("body.npz" in n for n in result.notes) and any("truth.npz" in n for n in result.notes)
     (folder.parents[1] / "calibration.toml").unlink()
     result = load_view(folder)
-    assert result.rig is None and any("cannot be shown" in n for n in result.notes)
+    assert result.recording is None and any("cannot be shown" in n for n in result.notes)
 
 
 # ---- pictures
@@ -114,8 +114,8 @@ def part(page, name):
 
 
 def test_a_report_carries_the_result_and_pictures(folder, built):
-    result, recording = load_view(folder), load_recording(folder.parents[1])
-    page = report_html(result, drawn_of(result, recording))
+    result = load_view(folder)
+    page = report_html(result, drawn_of(result))
     header, arrays = read_bundle(gzip.decompress(b64decode(part(page, "hypose-result"))))
     assert header["frames"] == 8 and header["citation"] == result.citation
     np.testing.assert_array_equal(arrays["rotations"], read_bundle(view_bundle(result))[1]["rotations"])

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hypose.app.commands.commands_results import play_motion
-from hypose.app.live.osc import osc_bundles
-from hypose.app.live.vmc import VMC_BONES
+from hypose.app.live.osc import VMC_BONES, osc_bundles
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
 from hypose.evidence.frame import SensorJoints

@@ -11,7 +11,7 @@ from hypose.calibration.findings import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects

@@ -24,9 +24,12 @@ from hypose.synthetic.scenes import camera_rig as named_rig
 def test_offsets_of_a_walk_are_found_to_a_fifth_of_a_frame(evidence):
     late = np.array([0.0, 2.5, -3.7, 5.0])
     scene, shown = late_scene("walk", 3, late, seconds=3.2)
-    points = seen_points(scene, shown) if evidence == "keypoints" else None
-    masks = seen_masks(scene, shown, 0.35) if evidence == "silhouettes" else None
-    found = offsets_from_motion(scene.rig.pinhole(), points, masks or ())
+    points, masks = (np.zeros((4, 0, 0, 2)), np.zeros((4, 0, 0))), ()
+    if evidence == "keypoints":
+        points = seen_points(scene, shown)
+    else:
+        masks = seen_masks(scene, shown, 0.35)
+    found = offsets_from_motion(scene.rig.pinhole(), points, masks)
     wrong = found.frames - late
     assert np.abs(wrong - np.median(wrong)).max() < 0.2
     assert found.gain > 10 and (found.sd < 1).all()

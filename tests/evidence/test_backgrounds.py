@@ -3,7 +3,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.background import from_frames, from_plates, from_recording
-from hypose.evidence.silhouettes import make_segmenter
+from hypose.evidence.silhouettes import Segmenter
 from tests.evidence.scenes import ellipse, iou, picture, room
 
 SHAPE = (240, 320)
@@ -52,7 +52,7 @@ def test_moved_thing_and_stranger_in_the_photo_are_cured_without_key_points(scen
     moved = film.copy()
     moved[:, 10:40, 250:290] = (240, 240, 20)  # a box put there after the photo
     model = from_recording(moved, None, from_plates([photo]))
-    segment = make_segmenter(model)
+    segment = Segmenter(model)
     assert np.mean([iou(segment(f), m) for f, m in zip(moved[::4], truth[::4], strict=True)]) > 0.93
 
 
@@ -61,7 +61,7 @@ def test_somebody_who_sways_on_the_spot_stays_foreground(scene):
     rng = np.random.default_rng(3)
     truth = [ellipse(SHAPE, 0.5 + 0.02 * np.sin(k)) for k in range(30)]
     film = np.stack([picture(rng, background, m, shadow=0) for m in truth])
-    segment = make_segmenter(from_recording(film, None, from_plates(empty[:1])))
+    segment = Segmenter(from_recording(film, None, from_plates(empty[:1])))
     assert min(iou(segment(f), m) for f, m in zip(film, truth, strict=True)) > 0.9
 
 
@@ -71,7 +71,7 @@ def test_somebody_who_never_moves_is_not_taken_for_room(scene):
     truth = ellipse(SHAPE, 0.5)
     film = np.stack([picture(rng, background, truth, shadow=0) for _ in range(20)])
     model = from_recording(film, None, from_plates(empty[:1]))
-    assert iou(make_segmenter(model)(film[3]), truth) > 0.9
+    assert iou(Segmenter(model)(film[3]), truth) > 0.9
     assert "Hardly anything moves" in model.note
 
 

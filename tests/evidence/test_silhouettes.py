@@ -4,10 +4,10 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, from_frames
 from hypose.evidence.silhouettes import (
+    Segmenter,
     SilhouetteSettings,
     as_mask,
     flag_collapsed,
-    make_segmenter,
     make_silhouettes,
 )
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
@@ -25,21 +25,21 @@ def scene(grey, shadow=0.65):
 
 def test_walker_with_cast_shadow():
     model, film, truth = scene(grey=False)
-    segment = make_segmenter(model)
+    segment = Segmenter(model)
     assert np.mean([iou(segment(f), m) for f, m in zip(film, truth, strict=True)]) >= 0.95
 
 
 def test_grey_scene_needs_the_shadow_test_off():
     model, film, truth = scene(grey=True, shadow=0)
-    with_test = make_segmenter(model, SilhouetteSettings(shadow=True))
-    without = make_segmenter(model, SilhouetteSettings(shadow=False))
+    with_test = Segmenter(model, SilhouetteSettings(shadow=True))
+    without = Segmenter(model, SilhouetteSettings(shadow=False))
     assert np.mean([iou(with_test(f), m) for f, m in zip(film, truth, strict=True)]) < 0.7
     assert np.mean([iou(without(f), m) for f, m in zip(film, truth, strict=True)]) > 0.85
 
 
 def test_band_restricts_and_an_empty_band_means_nobody():
     model, film, truth = scene(grey=False)
-    segment = make_segmenter(model)
+    segment = Segmenter(model)
     band = np.zeros(SHAPE, np.uint8)
     band[:120] = 1
     masked = segment(film[2], band)
@@ -52,7 +52,7 @@ def test_unknown_room_is_person_only_where_something_says_so():
     model, film, _ = scene(grey=False)
     valid = model.valid.copy()
     valid[:, 200:] = False
-    segment = make_segmenter(BackgroundModel(model.mean, model.sd, valid))
+    segment = Segmenter(BackgroundModel(model.mean, model.sd, valid))
     assert not segment(film[-1])[:, 200:].any()
     band = np.zeros(SHAPE, np.uint8)
     band[100:160, 210:260] = 1
@@ -110,4 +110,4 @@ def test_options_are_checked():
         with pytest.raises(InputError):
             SilhouetteSettings(**bad)
     with pytest.raises(InputError, match="does not fit"):
-        make_segmenter(scene(grey=False)[0])(np.zeros((10, 10, 3), np.uint8))
+        Segmenter(scene(grey=False)[0])(np.zeros((10, 10, 3), np.uint8))

@@ -7,7 +7,7 @@ import pytest
 
 from hypose import fitting
 from hypose.compute import solver
-from hypose.compute.arrays import PriorArrays
+from hypose.compute.arrays import NOT_KNOWN, PriorArrays
 from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.terms import KeypointTerm, PointTerm, contour_term
@@ -64,10 +64,8 @@ def points_of(pose, rng):
     return PointTerm(p + np.einsum("jab,jb->ja", r, offset), np.ones(JOINTS), joint, offset, scale_m=0.03)
 
 
-def evaluate(pose, *evidence, forward=None):
+def evaluate(pose, *evidence):
     cues, _ = cues_of(BODY, evidence)
-    if forward is not None:
-        cues = cues._replace(contours=cues.contours._replace(forward_weight=forward))
     d = SKELETON.dof
     priors = PriorArrays(np.zeros((0, d)), np.zeros((0, d)), np.full(d, -np.inf), np.full(d, np.inf))
     return solver.evaluate(pose, SKELETON.tree, BODY.coarse.arrays, cues, priors, workspace_for(BODY, cues))
@@ -93,10 +91,13 @@ def test_contour_gradient_follows_the_cost(direction, agreement, scene, rng):
     agree over steps of several mm. Reverse rows (mask -> body) only change their nearest point and agree better."""
     pose, term = scene
     near = start_near(pose, rng)
-    dense = replace(term, row_spacing_px=1.0)
+    dense = term._replace(row_spacing_px=1.0)
+
+    if direction == "reverse":
+        dense = dense._replace(sdf=np.full_like(dense.sdf, NOT_KNOWN))
 
     def at(q):
-        return evaluate(q, dense, forward=0.0 if direction == "reverse" else None)
+        return evaluate(q, dense)
 
     step = 8e-3 * np.eye(SKELETON.dof)
     numeric = np.array([(at(near + e).cost - at(near - e).cost) / 1.6e-2 for e in step])
@@ -141,7 +142,7 @@ def test_missing_points_are_left_out(rig, rng):
     uvc[1, 4, 2] = 0.1
     xyz = points.points_world.copy()
     xyz[2] = np.nan
-    fit = fitting.fit_pose(BODY, pose, [replace(keypoints, points=uvc), replace(points, points_world=xyz)])
+    fit = fitting.fit_pose(BODY, pose, [keypoints._replace(points=uvc), replace(points, points_world=xyz)])
     assert np.isfinite(fit.pose).all()
     assert fit.rows == uvc.shape[0] * uvc.shape[1] - 2 + JOINTS - 1
 
@@ -168,7 +169,7 @@ def test_unusable_starts_are_refused_loudly(scene, rig, rng):
     sdf = term.sdf.copy()
     sdf[:] = np.nan
     with pytest.raises(SolverError, match="not finite"):
-        fitting.fit_pose(BODY, pose, [replace(term, sdf=sdf)])
+        fitting.fit_pose(BODY, pose, [term._replace(sdf=sdf)])
     with pytest.raises(InputError, match="joint 99"):
         fitting.fit_pose(BODY, pose, [replace(points_of(pose, rng), joint=np.full(JOINTS, 99))])
 

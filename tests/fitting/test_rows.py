@@ -2,7 +2,6 @@
 entry below, or these tests fail."""
 
 import inspect
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,10 +15,10 @@ from hypose.evidence.terms import contour_term, depth_term
 from hypose.fitting import rows
 from hypose.fitting.problem import Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.tracking import shape_refinement
-from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
+from hypose.tracking.frame_evidence import keypoint_model, keypoint_term
 from hypose.tracking.monocular import points
 from hypose.tracking.monocular.proportions import proportions
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG = human(), sensors(3)
@@ -158,7 +157,7 @@ def by_corners(at, _, factor):
 
 def proportions_of_points(_):
     prior = proportions(BODY, None)
-    seen = replace(KEYPOINTS, points=KEYPOINTS.points[:1], projections=RIG.projections[:1])
+    seen = KEYPOINTS._replace(points=KEYPOINTS.points[:1], projections=RIG.projections[:1])
     made = points._PointsProblem(BODY, [lambda body: seen] * 2, prior.centre, prior, [], None)
     return made, prior.centre[points.INTERNAL]
 

@@ -8,11 +8,9 @@ import pytest
 from benchmarks.depth_sensors.replay import replay
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
-from hypose.fusion.align import Aligner, AlignSettings
-from hypose.fusion.clocks import SensorClock, offset_by_movement
+from hypose.fusion.align import Aligner, AlignSettings, SensorClock, offset_by_movement
 from hypose.fusion.joints import COMMON, MIRROR
-from hypose.fusion.live import LiveFuser
-from hypose.fusion.people import PeopleTracker
+from hypose.fusion.people import LiveFuser, PeopleTracker
 from hypose.geometry import se3_inverse, transform
 from tests.depth_sensors import camera, places, reports, walker
 
@@ -133,7 +131,7 @@ def serve(made, pause=(0.0, 0.0)):
     """As `replay`, but no timer runs in the pause."""
     fuser, frames = LiveFuser(AlignSettings(max_behind=30.0)), []
     for r in made:
-        while (due := fuser.due()) < r.arrival:
+        while (due := fuser.aligner.due()) < r.arrival:
             at = pause[1] if pause[0] <= due < pause[1] else due + 1e-9
             if at >= r.arrival:
                 break
@@ -162,7 +160,7 @@ def test_a_pause_of_the_machine_or_lines_that_come_all_at_once_make_nobody_new(r
     assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
     assert errors(fuser, frames[-10:], people=6).max() < 0.06
     if room > 100:  # all was read in the end: no sensor was ever away
-        assert [s.returns for s in fuser.status(pause[1] if paused else 3.0)] == [0, 0, 0]
+        assert [s.returns for s in fuser.aligner.status(pause[1] if paused else 3.0)] == [0, 0, 0]
 
 
 # ---- persons ----

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from tests import forest_reference as runtime
 
@@ -56,11 +55,3 @@ def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     depth[32:] = 300
     forest.learn(padded(depth), np.arange(64), np.full(64, 5), np.ones(64, int))
     assert forest.arrays.seen.sum() == 0
-
-
-@pytest.mark.parametrize(
-    "change", [{"trees": 0}, {"clip_mm": 0}, {"alpha": 100000}, {"rate": 0.0}, {"beta": 2.0}, {"most_nodes": 40000}]
-)
-def test_settings_outside_their_bounds_are_named(change):
-    with pytest.raises(InputError, match="forest's"):
-        ForestSettings(**change)

@@ -1,6 +1,4 @@
-"""Model files: nothing lost, growth goes on bit for bit, damage and malice refused."""
-
-import json
+"""Model files: nothing lost, growth goes on bit for bit, damage refused."""
 
 import numpy as np
 import pytest
@@ -66,39 +64,15 @@ def test_equal_models_give_equal_bytes(taught, tmp_path):
     assert (back.name, back.threshold) == ("disc", 12.5) and dict(back.history[0]) == {"seconds": 3.0}
 
 
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("left", lambda a: np.where(a >= 0, 0, a)),  # a circle
-        ("left", lambda a: np.where(a >= 0, 30000, a)),
-        ("size", lambda a: a + 10000),
-        ("size", lambda a: a * 0),
-        ("test", lambda a: a * 0 + 2000),  # would read outside the picture
-        ("candidate", lambda a: a * 0 + 2000),
-        ("slot", lambda a: a * 0 + 7),
-        ("n_free", lambda a: a * 0 - 3),
-        ("seen", lambda a: a.astype(np.float32)),
-        ("random", lambda a: a[:1]),
-    ],
-)
-def test_forests_that_would_lead_astray_are_refused(taught, name, change):
+@pytest.mark.parametrize("name", ["left", "size", "random", "description"])
+def test_a_model_that_was_changed_is_refused(taught, name):
+    """What follows its trees is compiled code, which would read outside of them."""
     arrays = to_arrays(model_of(taught))
-    arrays[name] = change(arrays[name]).astype(arrays[name].dtype) if name != "seen" else change(arrays[name])
-    with pytest.raises(ValueError, match="its|it|a "):
-        from_arrays(arrays)
-
-
-@pytest.mark.parametrize(
-    ("place", "name", "value"),
-    [("forest", "trees", 10**9), ("forest", "rate", float("nan")), ("learner", "hard", 10**9)],
-)
-def test_settings_that_would_hang_or_crash_are_refused(taught, place, name, value):
-    arrays = to_arrays(model_of(taught))
-    text = json.loads(str(arrays["description"]))
-    settings = {"forest": text["forest"], "learner": text["learner"]["settings"]}[place]
-    settings[name] = value
-    arrays["description"] = np.array(json.dumps(text))
-    with pytest.raises((ValueError, InputError), match=name):
+    if name == "description":
+        arrays[name] = np.array(str(arrays[name]).replace('"trees": 15', '"trees": 9'))
+    else:
+        arrays[name] = arrays[name] + 1
+    with pytest.raises(ValueError, match="was changed"):
         from_arrays(arrays)
 
 

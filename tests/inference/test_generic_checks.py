@@ -35,10 +35,6 @@ KERNELS = {
         kernels.AdaptiveDiffusion(0.5, lower=LOWER, upper=UPPER),
         kernels.AdaptiveDiffusion(0.0),
     ],
-    "Compose": [
-        kernels.Compose((kernels.AdaptiveDiffusion(0.5), gaussian())),
-        kernels.Compose(()),
-    ],
     "RejectionSampling": [
         kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),

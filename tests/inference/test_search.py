@@ -7,14 +7,13 @@ import numpy as np
 from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
-    Compose,
     GaussianDiffusion,
     annealed_sigma,
     filtered_mask,
     layered_sigma,
 )
 from hypose.inference.layer import Layer, Recipe, search, stream
-from hypose.inference.resampling import LayeredResampling, systematic
+from hypose.inference.resampling import LayeredResampling, keep, systematic
 
 N, D, FRAMES = 80, 4, 6
 SIGMA = np.array([0.3, 0.2, 0.25, 0.15])
@@ -181,8 +180,8 @@ def test_particle_filter_converges_to_the_kalman_filter():
     def likelihood(h, z):
         return -0.5 * np.square(z[0] - h.values @ c[0]) / r[0, 0]
 
-    propose = Compose((dynamics, GaussianDiffusion(np.sqrt(np.diag(q)))))
-    recipe = Recipe("kalman", (Layer(propose, likelihood, systematic),))
+    noise = GaussianDiffusion(np.sqrt(np.diag(q)))
+    recipe = Recipe("kalman", (Layer(dynamics, None, keep), Layer(noise, likelihood, systematic)))
     sizes, repeats = np.array([50, 200, 800, 3200]), 200
     errors = []
     for n in sizes:

@@ -10,8 +10,8 @@ from hypose.errors import InputError
 from hypose.evidence.body_parts import UNNAMED
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.one_camera import ColourDetections, tracked_frames
-from hypose.pipeline.run import track_source
+from hypose.pipeline.sources import ColourDetections, tracked_frames
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
@@ -31,7 +31,7 @@ def recording(scene, tmp_path_factory):
 @pytest.fixture(scope="module")
 def silent(recording):
     """The recording without key points."""
-    views = tuple(dataclasses.replace(v, keypoints=None) for v in recording.views)
+    views = tuple(v.without("keypoints") for v in recording.views)
     return dataclasses.replace(recording, views=views, keypoint_set=None)
 
 

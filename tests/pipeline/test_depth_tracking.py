@@ -17,15 +17,15 @@ from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.input_checks import check_inputs
-from hypose.pipeline.run import track_people, track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_people, track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.recipes import recipe
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.depth_pictures import frame_of, sensors
 

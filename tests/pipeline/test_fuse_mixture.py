@@ -16,12 +16,12 @@ from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
-from hypose.pipeline.run import track_source
 from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows, skeletons_at_frames
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 FRAMES = 40
 PLACE = se3(so3_exp(np.array([0.3, -1.2, 0.4])), np.array([0.5, 0.2, 2.4]))

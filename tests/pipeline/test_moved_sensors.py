@@ -9,10 +9,10 @@ from hypose.body.default_body import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
-from hypose.pipeline.moved_sensors import PlacedSource, moved_sensors, placed
+from hypose.pipeline.moved_sensors import moved_sensors
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameList
-from hypose.tracking.starts import known_pose
+from hypose.pipeline.sources import FrameList, PlacedSource, placed
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG, RATE = human(), sensors(2), 15.0

@@ -8,10 +8,10 @@ import pytest
 import hypose
 from hypose.app.jobs.explain import explain_joint
 from hypose.io.motions.results import ResultsFolder, save_body
-from hypose.pipeline import passes
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline import input_checks, passes, track
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 
@@ -32,9 +32,9 @@ def subject(frames):
 
 def exchange(own, spoilt, monkeypatch):
     """Run `spoilt` in the place of the pass `own`."""
-    for part in ("UNTIL_TRACKED", "AFTER_TRACKING"):
-        planned = tuple(spoilt if step is own else step for step in getattr(passes, part))
-        monkeypatch.setattr(f"hypose.pipeline.run.{part}", planned)
+    for part in ("CHECKED", "AFTER_TRACKING"):
+        planned = tuple(spoilt if step is own else step for step in getattr(track, part))
+        monkeypatch.setattr(track, part, planned)
 
 
 def with_arm_bent(clip):
@@ -61,7 +61,7 @@ def explained(frames, subject, tmp_path, evidence="silhouettes"):
 
 @pytest.mark.parametrize("stage", passes.REASONS)
 def test_a_fault_planted_in_a_pass_is_named(stage, frames, subject, tmp_path, monkeypatch):
-    own = getattr(passes, stage)
+    own = getattr(passes, stage, None) or getattr(input_checks, stage)
 
     def spoilt(clip):
         return with_arm_bent(own(clip))

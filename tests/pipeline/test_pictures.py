@@ -7,8 +7,8 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
+from hypose.pipeline.sources import FrameList
 from hypose.pipeline.track import track
-from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from tests.monocular.pictures import camera, mask, picture, wall
 

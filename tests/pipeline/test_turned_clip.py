@@ -9,8 +9,8 @@ from benchmarks.multiview.error_scenes import Case, scene_without_masks, without
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
-from hypose.pipeline.run import track_source
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.sources import FrameList
+from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 
 

@@ -139,7 +139,7 @@ export interface GestureSession {
   rounds: number; seconds: PhaseSeconds; folder: string | null; resume: Id | null;
   history: HistoryRow[]; judged: GestureJudged | null;
 }
-export interface GestureEvent { kind: "start" | "end"; gesture: string; time: number; x: number; y: number; score: number }
+export interface GestureEvent { event: "start" | "end"; gesture: string; time: number; x: number; y: number; score: number }
 export interface GestureFound { gesture: string; score: number; x: number; y: number; threshold: number | null }
 export interface GestureStep {
   t: "step"; seq: number; time: number; phase: Phase; prompt: string; left_s: number | null; round: number;
@@ -148,7 +148,7 @@ export interface GestureStep {
   score: number | null; high: number | null; low: number | null; threshold: number | null; manual: boolean;
   detected: boolean;
   counts: { gesture: number; negative: number; pixels: number; nodes: number; segments: number };
-  events: GestureEvent[]; found?: GestureFound[]; ms: Record<string, number>;
+  events: GestureEvent[]; found?: GestureFound[];
 }
 export interface GestureJudged {
   t: "judged"; on: "segments" | "test"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];

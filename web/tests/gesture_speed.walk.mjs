@@ -31,7 +31,6 @@ async function bareCanvas(open) {
       if (typeof data === "string") {
         const step = JSON.parse(data);
         if (step.t !== "step") return;
-        app.ms = step.ms;
         if (asked && step.paused !== app.paused) {
           const since = asked;
           asked = 0;
@@ -57,13 +56,13 @@ async function bareCanvas(open) {
   return page;
 }
 
-/** Pictures per second that are on the screen, and what the server needs for one. */
+/** Pictures per second that are on the screen. */
 async function rate(page) {
-  const counted = () => page.evaluate(() => [window.__app.pictures, performance.now(), window.__app.ms ?? window.__app.live.step.ms]);
+  const counted = () => page.evaluate(() => [window.__app.pictures, performance.now()]);
   const [before, began] = await counted();
   await page.waitForTimeout(1000 * SECONDS);
-  const [after, now, ms] = await counted();
-  return { pictures_per_s: (1000 * (after - before)) / (now - began), server_ms: ms };
+  const [after, now] = await counted();
+  return { pictures_per_s: (1000 * (after - before)) / (now - began) };
 }
 
 /** From a click on Pause or Go on to the frame after the one that shows its effect. */

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import threading
@@ -20,7 +19,6 @@ from hypose.options import ListenHost, Option, Threads, named_values
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
-    from hypose.pipeline.live.recorder import LiveRecorder
 
 _SINCE = re.compile(r" for \d+ s$")
 """Part of a sentence that counts seconds, which is ignored when sentences are compared."""
@@ -32,13 +30,11 @@ def live(c: LiveCommand) -> None:
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
-        from hypose.app.live.pose_outputs import PoseOutputs
+        from hypose.app.live.pose_outputs import TrackingRun
         from hypose.pipeline.live.capture import CaptureOptions
-        from hypose.pipeline.live.engine import LiveEngine, LiveTrackingOptions
         from hypose.pipeline.live.live_people import LivePersonOptions
         from hypose.pipeline.live.live_rig import live_rig
-        from hypose.pipeline.live.recorder import LiveRecorder
-        from hypose.pipeline.subject_from_motion import load_subject
+        from hypose.pipeline.subject import load_subject
         from hypose.pipeline.track_options import TrackOptions
     if ended.is_set():
         raise Exit(130)
@@ -49,43 +45,35 @@ def live(c: LiveCommand) -> None:
         TrackOptions(seed=c.seed), c.height or cameras.height, None if c.subject is None else load_subject(c.subject)
     )
     network = c.people if _finds_people(c.detector, cameras.no_background) else 0
-    views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
+    if network:
+        cameras = replace(cameras, views=tuple(replace(v, background=None) for v in cameras.views))
     capture = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
-    names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C ends it
         compile_before(progress)
-    recorder = None
-    with contextlib.ExitStack() as closing:
-        closing.enter_context(ended_by_signals(ended))
-        if c.record is not None:
-            recorder = LiveRecorder(c.record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
-            closing.callback(recorder.close)
-        outputs = PoseOutputs(names, cameras.rate, ws=c.ws, udp=c.udp, osc=c.osc, vmc=c.vmc, clock=time.monotonic)
-        closing.callback(outputs.close)
-        listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
-        options = LiveTrackingOptions(capture, person, c.people, pictures=recorder is not None)
-        engine = LiveEngine(cameras.rig, views, options, listeners, ended)
-        closing.callback(engine.stop)
-        engine.start()
-        if outputs.listeners is not None:
-            say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out")
-        for name, target in (("udp", c.udp), ("osc", c.osc), ("vmc", c.vmc)):
-            if target is not None:
-                say(f"Poses out:  {name} {target}")
-        say("Stop with Ctrl-C.")
-        until = time.monotonic() + c.seconds if c.seconds else math.inf
-        while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
-            ended.wait(0.1)
-        status, interrupted = engine.status(), ended.is_set()
-        engine.stop()
-        if recorder is not None:  # a second stop request does not lose the recording
-            kept = recorder.close()
-            without = f", without {recorder.left_out} instants" if recorder.left_out else ""
-            nothing = "Nothing was recorded: there were no pictures of two cameras."
-            say(f"Recorded: {c.record}{without}" if kept else nothing)
-    if (
-        engine.failed is not None and not interrupted
-    ):  # an interrupt may stop the other processes first, which is no failure
+    targets = {"udp": c.udp, "osc": c.osc, "vmc": c.vmc}
+    about = {"listeners": [_StatusReporter()], "record": c.record, "stop": ended, "ws": c.ws, **targets}
+    with ended_by_signals(ended):
+        run = TrackingRun(cameras, capture, person, c.people, **about)
+        engine, recorder, lost = run.engine, run.recorder, False
+        try:
+            if run.outputs.listeners is not None:
+                say(f"Poses out:  ws://127.0.0.1:{run.outputs.listeners.port}/out")
+            for name, target in targets.items():
+                if target is not None:
+                    say(f"Poses out:  {name} {target}")
+            say("Stop with Ctrl-C.")
+            until = time.monotonic() + c.seconds if c.seconds else math.inf
+            while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
+                ended.wait(0.1)
+                if recorder is not None and recorder.failed and not lost:
+                    lost = True
+                    print_note(recorder.failed)
+            status, interrupted = engine.status(), ended.is_set()
+        finally:
+            said = run.close(str(c.record))  # a second stop request does not lose the recording
+    if said:
+        say(said)
+    if engine.failed is not None and not interrupted:  # an interrupt may stop the other processes first
         raise engine.failed
     say(f"{counted(status.poses, 'pose')}. {_summary(status)}")
 
@@ -114,11 +102,10 @@ def _finds_people(wanted: bool | None, no_background: bool) -> bool:
 
 
 class _StatusReporter:
-    """Listener that prints changes at once, a summary now and then, and the failure of a recording."""
+    """Listener that prints changes at once, and a summary now and then."""
 
-    def __init__(self, recorder: LiveRecorder | None) -> None:
+    def __init__(self) -> None:
         self._phase, self._words, self._at = "", (), -math.inf
-        self._recorder = recorder
 
     def seen(self, seen: LiveResult) -> None:
         """Ignore the poses."""
@@ -127,13 +114,11 @@ class _StatusReporter:
         """Print what has changed."""
         if status.phase != self._phase:
             print_note(status.phase.replace("_", " ").capitalize() + ".")
-        failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
-        words = (*status.words, *failed)
         known = {_SINCE.sub("", text) for text in self._words}
-        for text in words:
+        for text in status.words:
             if _SINCE.sub("", text) not in known:
                 print_note(text)
-        self._phase, self._words = status.phase, words
+        self._phase, self._words = status.phase, status.words
         if time.monotonic() - self._at >= _REPORT_S and status.poses:
             self._at = time.monotonic()
             print_note(_summary(status))

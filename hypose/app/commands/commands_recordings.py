@@ -18,6 +18,8 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
+from hypose.io.file_names import natural_key
+from hypose.io.files import claimed, toml_lines, write_text
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
@@ -33,8 +35,6 @@ def init(
     """
     from hypose.calibration.views import find_sources
     from hypose.io.calibrations.calibration_formats import read_any
-    from hypose.io.file_names import natural_key
-    from hypose.io.files import toml_lines, write_text
     from hypose.io.videos.video import VIDEO_ENDINGS
 
     target, where = folder / "recording.toml", shlex.quote(str(folder))
@@ -96,7 +96,6 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
@@ -105,7 +104,8 @@ def silhouettes(
         from hypose.app.jobs.person_job import detected
 
         found = detected(loaded, loaded.frames, yes=yes, why="--detector")
-        loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
+        views = (replace(v, files={**v.files, "masks": found.masks(v.name)}) for v in loaded.views)
+        loaded = replace(loaded, views=tuple(views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
         with FrameStream(loaded, progress=progress) as source:
@@ -125,7 +125,6 @@ def silhouettes(
 
 def synth(c: SynthCommand) -> None:
     """Write a synthetic recording (`hypose synth`)."""
-    from hypose.io.files import claimed
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.scenes import make_scene
@@ -194,7 +193,6 @@ def depth_import(
     """Make a recording of depth cameras to track: maps, lenses, floor; several cameras are registered by the person's
     motion.
     """
-    from hypose.io.files import claimed
     from hypose.pipeline.import_depth import import_depth
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -239,7 +237,8 @@ def keypoints(
     what = "Key points and masks" if found.with_masks else "Key points"
     say(f"{what}: {found.folder} ({found.keypoint_set}, one folder per view)")
     own = loaded.folder / KEYPOINT_FOLDER
-    named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
+    stated = [v.files["keypoints"].absolute() for v in loaded.views if "keypoints" in v.files]
+    named = any(own.absolute() not in path.parents for path in stated)
     if target.absolute() == own.absolute() and not named:
         say(f"To use them: hypose track {recording} --evidence both")
         return
@@ -257,7 +256,6 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     from hypose.app.jobs.job import job_of, track_shown
-    from hypose.io.files import claimed
     from hypose.pipeline.comparison import compare_with
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -284,9 +282,8 @@ def correct(
     """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
     from hypose.app.jobs.correct import corrected_motion, read_correction
     from hypose.app.jobs.job import split_names
-    from hypose.app.reports.summary import require_found
+    from hypose.app.reports.report_parts import require_found
     from hypose.app.studio.view_bundle import find_recording
-    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
 
     recording = find_recording(results)
@@ -309,7 +306,7 @@ def warm_up_command(threads: Threads = None) -> None:
     from hypose.app.jobs.job import job_of, run_job
     from hypose.compute.compiled import VARIABLE, cache_folder
     from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
-    from hypose.fusion.live import LiveFuser
+    from hypose.fusion.people import LiveFuser
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
@@ -353,7 +350,6 @@ def batch(
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
     from hypose.app.batch import finished_metrics, ordered_tasks, require_dask, run_batch, wanted, write_table
     from hypose.app.jobs.job import split_names
-    from hypose.io.files import claimed
 
     if not dry_run:
         require_dask("distributed")  # before all files are read

@@ -9,15 +9,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
+from pythonosc.osc_message import OscMessage
+
+from hypose import __version__
 from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say, stopping
-from hypose.errors import HyposeError, InputError
+from hypose.app.live.osc import OscTarget, vmc_messages
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.files import check_writable, claimed, read_json, write_text
+from hypose.io.motions.results import load_result, load_result_body
 from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
 
 if TYPE_CHECKING:
-    from pythonosc.osc_message import OscMessage
-
-    from hypose.body.body import Body
-    from hypose.body.motion import Motion
     from hypose.pipeline.gait import Gait
 
 
@@ -28,9 +33,7 @@ def export(
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
     from hypose.app.jobs.job import split_names
-    from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
-    from hypose.io.motions.results import load_result_body
 
     motion, body = load_result_body(results)
     tell_untrusted(results)
@@ -49,25 +52,20 @@ def report(
 ) -> None:
     """Write the report of a result again: one file that needs no other files."""
     from hypose.app.reports.report import write_report
-    from hypose.app.studio.view_bundle import find_recording, load_view
-    from hypose.io.files import check_writable
+    from hypose.app.studio.view_bundle import load_view
 
     folder = results if results.is_dir() else results.parent
     target = out or folder / "report.html"
     if target.is_dir():
         raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
-    recording = None
     if results.exists():
         check_writable(target.parent)
-        with contextlib.suppress(HyposeError):  # the report says why it has no pictures
-            recording = find_recording(folder)
-    shown = load_view(results, recording)
+    shown = load_view(results)
     with Stages() as progress:
-        progress("report", 0, 1)
-        written = write_report(target, shown, recording)
-        progress("report", 1, 1)
+        for path in each(progress, "report", [target]):
+            write_report(path, shown)
     print_notes(shown.notes)
-    say(f"Report: {written}")
+    say(f"Report: {target}")
 
 
 def explain(
@@ -87,8 +85,6 @@ def gait(
     out: OutFolder = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
-    from hypose.io.files import claimed
-    from hypose.io.motions.results import load_result_body
     from hypose.pipeline.gait import gait_of
 
     motion, body = load_result_body(results)
@@ -115,11 +111,8 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     motion: of which the gait is.
     Returns: paths of the files.
     """
-    import numpy as np
-
-    from hypose.app.reports.charts import cycle_chart
-    from hypose.io.files import write_text
-    from hypose.io.motions.c3d import joint_residuals, write_c3d
+    from hypose.app.reports.report_parts import cycle_chart
+    from hypose.io.motions.marker_files import joint_residuals, write_c3d
     from hypose.pipeline.gait import PERCENT, angle_cycles
 
     start = float(motion.times[0])
@@ -158,7 +151,6 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
 
 
 def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
-    from hypose.io.files import write_text
 
     def cell(value: object) -> str:
         return str(value) if not isinstance(value, float) else f"{value:.5f}" if math.isfinite(value) else ""
@@ -173,8 +165,6 @@ def play(
     loop: Annotated[bool, Option("Over and over, until Ctrl-C.")] = False,
 ) -> None:
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
-    from hypose.app.live.osc import OscTarget
-    from hypose.io.motions.results import load_result, load_result_body
     from hypose.pipeline.sensor_skeletons import pose_fused
 
     motion = load_result(results)
@@ -210,10 +200,6 @@ def play_motion(
     wait, clock: replaced in tests.
     Raises: InputError where no frame has a pose.
     """
-    import numpy as np
-
-    from hypose.app.live.vmc import vmc_messages
-
     if motion.poses is None or not (good := np.isfinite(motion.poses).all(1)).any():
         raise InputError("The motion has no poses, which an avatar needs; play a result of hypose track.")
     held = np.maximum.accumulate(np.where(good, np.arange(len(motion)), int(good.argmax())))
@@ -239,8 +225,6 @@ def cite(
     bibtex: Annotated[bool, Option("As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
-    from hypose.app.jobs.cite import formatted_papers, papers_of
-
     say(formatted_papers(papers_of(method), bibtex))
 
 
@@ -255,3 +239,145 @@ def tell_untrusted(results: Path) -> None:
     folder = results if results.is_dir() else results.parent
     if (kept := load_assessment(folder)) is not None and kept.word == UNTRUSTED:
         print_note(f"note: {folder}: {kept.sentence}")
+
+
+# ---- papers --------------------------------------------------------------------------------------------------
+
+
+PAPERS: dict[str, tuple[str, dict[str, str]]] = {
+    "hypose": (
+        "software",
+        {
+            "author": "The hypose developers",
+            "title": "hypose: human motion from ordinary cameras",
+            "year": "2026",
+            "version": f"version {__version__}",
+        },
+    ),
+    "alcoverro2014": (
+        "phdthesis",
+        {
+            "author": "Alcoverro, M.",
+            "title": "Stochastic optimization and interactive machine learning for human motion analysis",
+            "year": "2014",
+            "school": "Universitat Politècnica de Catalunya",
+        },
+    ),
+    "deutscher2005": (
+        "article",
+        {
+            "author": "Deutscher, J. and Reid, I.",
+            "title": "Articulated body motion capture by stochastic search",
+            "year": "2005",
+            "journal": "International Journal of Computer Vision",
+            "volume": "61(2)",
+            "pages": "185-205",
+        },
+    ),
+    "isard1998": (
+        "article",
+        {
+            "author": "Isard, M. and Blake, A.",
+            "title": "CONDENSATION: conditional density propagation for visual tracking",
+            "year": "1998",
+            "journal": "International Journal of Computer Vision",
+            "volume": "29(1)",
+            "pages": "5-28",
+        },
+    ),
+    "maccormick2000": (
+        "inproceedings",
+        {
+            "author": "MacCormick, J. and Isard, M.",
+            "title": "Partitioned sampling, articulated objects, and interface-quality hand tracking",
+            "year": "2000",
+            "booktitle": "European Conference on Computer Vision",
+            "pages": "3-19",
+        },
+    ),
+    "asteriadis2013": (
+        "inproceedings",
+        {
+            "author": "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
+            "title": "Estimating human motion from multiple Kinect sensors",
+            "year": "2013",
+            "booktitle": "MIRAGE 2013, Berlin",
+        },
+    ),
+    "sminchisescu2001": (
+        "techreport",
+        {
+            "author": "Sminchisescu, C. and Triggs, B.",
+            "title": "A robust multiple hypothesis approach to monocular human motion tracking",
+            "year": "2001",
+            "institution": "INRIA",
+            "number": "Rapport de recherche 4208",
+        },
+    ),
+    "saffari2009": (
+        "inproceedings",
+        {
+            "author": "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
+            "title": "On-line random forests",
+            "year": "2009",
+            "booktitle": "ICCV Workshops",
+            "pages": "1393-1400",
+        },
+    ),
+}
+"""Works by the key of their BibTeX entry: its kind and its fields, authors joined by " and "."""
+
+_THESIS, _SWARM = ("alcoverro2014",), ("asteriadis2013",)
+METHODS: dict[str, tuple[str, ...]] = {
+    "default": _THESIS,
+    "sir": ("isard1998",),
+    "apf": ("deutscher2005",),
+    "partitioned": ("maccormick2000",),
+    **dict.fromkeys(("hpf", "hpf+", "hpf-apo", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals"), _THESIS),
+    "subject": _THESIS,
+    "monocular": ("sminchisescu2001",),
+    **dict.fromkeys(("fusion-fit", "fusion-swarm", "fusion-published", "fusion-published-window"), _SWARM),
+    "gesture": (*_THESIS, "saffari2009"),
+}
+"""Keys of the works behind each method, without hypose itself."""
+
+
+def papers_of(name: str) -> tuple[str, ...]:
+    """List the keys of the works to cite, hypose first.
+
+    name: name of a method, or a results folder, whose provenance names the method.
+    Raises: InputError lists the methods.
+    """
+    path, method = Path(name), name
+    if name not in METHODS and (path.is_dir() or path.suffix == ".json"):
+        path = path / "provenance.json" if path.is_dir() else path
+        try:
+            method = str(read_json(path, "a provenance.json")["recipe"])
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
+            ) from None
+    if method not in METHODS and not method.startswith("fusion-"):
+        raise InputError(
+            f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
+            f"{', '.join(METHODS)}."
+        )
+    return ("hypose", *METHODS.get(method, ()))  # other baselines are textbook filters
+
+
+def formatted_papers(keys: Sequence[str], bibtex: bool) -> str:
+    """Format works (papers) as a list of references, one per line, or as BibTeX.
+
+    keys: keys of the works.
+    """
+    out = []
+    for key in keys:
+        kind, fields = PAPERS[key]
+        if bibtex:
+            values = {**fields, "title": f"{{{fields['title']}}}"}
+            out.append(f"@{kind}{{{key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in values.items()) + "}\n")
+        else:
+            *others, last = fields["author"].split(" and ")
+            authors = f"{', '.join(others)} and {last}" if others else last
+            out.append(f"{authors} ({fields['year']}). {fields['title']}. {', '.join([*fields.values()][3:])}.")
+    return "\n".join(out).rstrip()

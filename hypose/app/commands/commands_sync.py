@@ -154,7 +154,7 @@ def _by_motion_within(
     Raises: EvidenceError where the motion does not determine the delays.
     """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
-    points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
+    points = undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     known = found.sd < largest  # unknown where the deviation exceeds the search range
     if found.gain < 0 or not known.any():
@@ -164,8 +164,7 @@ def _by_motion_within(
         )
     pairs = zip(found.sd, known, strict=True)
     words = [f"sd {sd:.2f}" if sure else "no motion in common with the others" for sd, sure in pairs]
-    total = points[0].shape[1] if points is not None else len(seen.silhouettes)
-    reach = offsets_within(largest, total)
+    reach = offsets_within(largest, max(seen.keypoints.shape[1], len(seen.silhouettes)))
     ended = at_the_end(found, reach)
     if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
@@ -180,7 +179,7 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
     Returns: delay of each view in frames, and a text on the certainty of each.
     Raises: InputError where a view has no video.
     """
-    videos = {v.name: v.video for v in recording.views}
+    videos = {v.name: v.files.get("video") for v in recording.views}
     if silent := [name for name, video in videos.items() if video is None]:
         raise InputError(f"View {silent[0]} has no video and so no sound; use --by motion.")
     sounds = [read_sound(video) for video in videos.values() if video is not None]
@@ -215,25 +214,30 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     with stream:
         source = Resampled(stream, late)
         named = zip(recording.views, stream.rig, strict=True)
-        masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
+        masks = {
+            k: mask_folder(folder / "masks", v.name, c) for k, (v, c) in enumerate(named) if "depth" not in v.files
+        }
         for i in each(progress, "masks", range(len(source))):
             write_frame_masks(source.frame(i).the(Silhouettes), masks, i)
     people = _people(raw_person(recording))
     views = []
     for c, view in enumerate(recording.views):
-        keypoints = None
-        if people and view.keypoints is not None:
-            keypoints = folder_for(folder / "keypoints", view.name)
+        files = dict[str, Path]()
+        if people and "keypoints" in view.files:
+            files["keypoints"] = keypoints = folder_for(folder / "keypoints", view.name)
             for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
                 write_text(
                     keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps(openpose_document(shown)) + "\n"
                 )
-        if view.depth is not None:
-            maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
-            views.append(replace(view, depth=maps, keypoints=keypoints))
+        if c in masks:
+            files["masks"] = masks[c]
+            if view.source is not None:
+                files["video"] = _video_in_step(view, recording, late[c], folder / "videos")
         else:
-            video = None if view.source is None else _video_in_step(view, recording, late[c], folder / "videos")
-            views.append(replace(view, video=video, images=None, background=None, masks=masks[c], keypoints=keypoints))
+            own = folder_for(folder / "depth", view.name)
+            files |= {k: view.files[k] for k in view.files.keys() & {"background"}}
+            files["depth"] = _depth_in_step(view.files["depth"], recording.frames, late[c], own)
+        views.append(replace(view, files=files))
     first, stop = math.ceil(max(0.0, -min(late))), len(recording.frames) - math.ceil(max(0.0, *late))
     made = replace(
         recording,
@@ -289,12 +293,12 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
     return folder
 
 
-def _people(found: RecordedPerson | None) -> list[Array]:
+def _people(found: RecordedPerson) -> list[Array]:
     """Collect the key points (C, T, K, 3) px of the calibrated pictures: first of the main person, then of others seen
     by several views; empty without key points.
     """
-    out = [] if found is None else [found.raw]
-    for one in [] if found is None else found.one.people[1:]:
-        out.append(np.zeros_like(out[0]))
+    out = [found.raw] if found.keypoints else []
+    for one in found.one.people[1:]:
+        out.append(np.zeros_like(found.raw))
         out[-1][:, one.first : one.last + 1] = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)
     return out

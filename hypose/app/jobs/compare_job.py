@@ -15,8 +15,7 @@ from hypose import __version__
 from hypose.app.commands.commands_results import tell_untrusted
 from hypose.app.commands.console import Stages, counted, each, print_notes, say
 from hypose.app.options import CompareCommand
-from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
-from hypose.app.reports.summary import html_list, html_table, page
+from hypose.app.reports.report_parts import RIGHT_COLOUR, Axes, chart, html_list, html_table, over_known, page
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.io.files import check_writable, write_text
@@ -57,13 +56,7 @@ def compare(c: CompareCommand) -> None:
     for _, other, found in compared:
         print_notes(found.notes)
         if found.joints:
-            median, p95, rmse = found.left_mm
-            share = mean_coverage(found)
-            inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
-            say(
-                f"{other}: {counted(len(found.joints), 'joint')}, offsets aside: median {median:.1f} mm, 95 % within "
-                f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
-            )
+            say(f"{other}: {_of_joints(found)}")
         if found.angles:
             degrees = [a.rmse_left for a in found.angles if a.unit == "deg" and a.n]
             span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
@@ -74,6 +67,16 @@ def compare(c: CompareCommand) -> None:
         say(text, "yellow")
     if failed:
         raise Exit(1)
+
+
+def _of_joints(found: Comparison) -> str:
+    """Return how well the joints agree, in words."""
+    (median, p95, rmse), share = found.left_mm, mean_coverage(found)
+    inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
+    return (
+        f"{counted(len(found.joints), 'joint')}, offsets aside: median {median:.1f} mm, 95 % within {p95:.1f} mm, "
+        f"RMSE {rmse:.1f} mm{inside}"
+    )
 
 
 def exceeded(
@@ -154,13 +157,7 @@ def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequ
     for result, other, f in compared:
         parts.append(f"<h2>{e(str(result))} against {e(str(other))}</h2>")
         if f.joints:
-            median, p95, rmse = f.left_mm
-            share = mean_coverage(f)
-            inside = f" {100 * share:.0f} % of the other's joints lie in our 90 % regions." if share == share else ""
-            parts.append(
-                f"<p>Joints, constant offsets aside: median {median:.1f} mm, 95 % within {p95:.1f} mm, RMSE {rmse:.1f} "
-                f"mm.{inside} Offset in time: {f.offset:+.3f} s.</p>"
-            )
+            parts.append(f"<p>{_of_joints(f)}. Offset in time: {f.offset:+.3f} s.</p>")
             parts += [_table(f.joints), _errors(f)]
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]

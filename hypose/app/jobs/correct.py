@@ -29,12 +29,12 @@ from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.one_camera import FrameSource
-from hypose.pipeline.person_paths import per_frame
+from hypose.pipeline.assessment import later, list_changes, trace_of, with_trace
 from hypose.pipeline.recorded_frames import frames_wanted
-from hypose.pipeline.run import track_source
-from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
+from hypose.pipeline.sources import FrameSource
+from hypose.pipeline.subject import GIVEN, SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.track import track_source
+from hypose.pipeline.track_management import per_frame
 from hypose.pipeline.track_options import TrackOptions
 
 _READ_AT_ONCE = 64
@@ -65,21 +65,16 @@ def read_correction(path: Path) -> Correction:
 
     Raises: InputError where the file holds no usable pose.
     """
-    usable, pose, frames = False, np.zeros(0), list[Any]([None])
     with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
-        pose = np.array(value["pose"], dtype=np.float64)
-        frames = [value["frame"], value.get("since"), value.get("until")]
-        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and bool(np.isfinite(pose).all())
-    if not usable or not _is_frame(frames[0]):
-        raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    if not all(end is None or _is_frame(end) for end in frames[1:]):
-        raise InputError(f"The frames since and until in {path} must be whole numbers; correct the frame again.")
-    return Correction(frames[0], pose, path.stem, *frames[1:])
-
-
-def _is_frame(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+        pose, frames = (
+            np.array(value["pose"], dtype=np.float64),
+            [value["frame"], value.get("since"), value.get("until")],
+        )
+        whole = type(frames[0]) is int and all(type(f) is int and f >= 0 for f in frames if f is not None)
+        if value["format"] == "hypose-clicks" and whole and pose.ndim == 1 and np.isfinite(pose).all():
+            return Correction(frames[0], pose, path.stem, *frames[1:])
+    raise InputError(f"{path} holds no corrected pose; correct a frame in `hypose view` and save it there.")
 
 
 def corrected_motion(
@@ -135,7 +130,7 @@ def corrected_motion(
     for name in each(progress, "export", formats):
         export_motion(joined, body, out.path, (name,))
     for path in each(progress, "report", [out.file("report.html")]):
-        write_report(path, load_view(out.path, recording), recording)
+        write_report(path, load_view(out.path, recording))
     return joined
 
 

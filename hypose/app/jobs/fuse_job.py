@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -17,7 +16,6 @@ from hypose.app.commands.console import (
     ProgressCall,
     Stages,
     counted,
-    each,
     ignore,
     print_note,
     print_notes,
@@ -27,13 +25,12 @@ from hypose.app.commands.console import (
 from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
 from hypose.app.live.live_server import FusionServerOptions, run_live
 from hypose.app.options import FuseCommand, TrackCommand
-from hypose.app.reports.summary import require_found
+from hypose.app.reports.report_parts import require_found
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
-from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView
-from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
 from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
@@ -59,20 +56,6 @@ from hypose.pipeline.sensor_skeletons import assess_fused
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats of motion files that need no poses."""
 _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floor
-
-
-@dataclass(frozen=True)
-class PersonResult:
-    """Result of one person.
-
-    motion: fused motion, in a world with z up.
-    files: files that were written.
-    assessment: assessment of the motion.
-    """
-
-    motion: Motion
-    files: tuple[Path, ...]
-    assessment: Assessment
 
 
 def fuse(c: FuseCommand) -> None:
@@ -107,11 +90,10 @@ def fuse(c: FuseCommand) -> None:
         people, notes, complete = run_fuse(loaded, results, c, progress)
     print_notes(notes)
     if not complete:
-        kept = ", ".join(str(f) for p in people for f in p.files)
-        say(f"Stopped. Kept: {kept or 'nothing'}. Start again with the same command.")
+        kept = f"{counted(len(people), 'motion')} in {results.path}" if people else "nothing"
+        say(f"Stopped. Kept: {kept}. Start again with the same command.")
         raise Exit(130)
-    for n, p in enumerate(people, 1):
-        m = p.motion
+    for n, (m, _) in enumerate(people, 1):
         parts = [
             f"{counted(len(m), 'frame')} of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz",
             f"{int(m.lost.sum())} lost",
@@ -121,21 +103,22 @@ def fuse(c: FuseCommand) -> None:
             parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
         say(f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}: " + ", ".join(parts))
     say(f"Results: {results.path}")
-    if all(p.motion.lost.all() for p in people):
-        require_found(people[0].motion, loaded.name, results.path)
-    print_assessments({f"person-{n}" if len(people) > 1 else "": p.assessment for n, p in enumerate(people, 1)})
+    if all(m.lost.all() for m, _ in people):
+        require_found(people[0][0], loaded.name, results.path)
+    print_assessments({f"person-{n}" if len(people) > 1 else "": a for n, (_, a) in enumerate(people, 1)})
 
 
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
-) -> tuple[list[PersonResult], list[str], bool]:
+) -> tuple[list[tuple[Motion, Assessment]], list[str], bool]:
     """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
-    Each person's motion is written before the next one is fused, and is kept after Ctrl-C.
+    Each person's files are written before the next one is fused, and are kept after Ctrl-C.
     recording: skeletons of all sensors.
     results: folder for one person; with several, a folder person-1, person-2, ... in it for each.
     c: options of the user.
-    Returns: the people in the order of appearance; notes for the user; and whether all is done (False after Ctrl-C).
+    Returns: motion, in a world with z up, and assessment of each person, in the order of appearance; notes for the
+        user; and whether all is done (False after Ctrl-C).
     Raises: InputError names the input that cannot be used.
     """
     formats = split_names(c.formats)
@@ -164,7 +147,7 @@ def run_fuse(
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
     settings = FusionSettings(seed=c.seed)
-    done: list[PersonResult] = []
+    done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     try:
         for n, whole in enumerate(people):
@@ -183,12 +166,10 @@ def run_fuse(
             if world is None:
                 world = world_from_sensor(made.motion, c.up)
             assessment = assess_fused(made.motion, clip, registration, names)
-            done.append(_write(recording, c, made, world, folders[n], notes, assessment))
-        progress("fuse", total, total)
-        for n, person in each(progress, "export", list(enumerate(done))):
+            done.append((_write(recording, c, made, world, folders[n], notes, assessment), assessment))
             # only formats with poses use the body, and those were refused above
-            files = export_motion(person.motion, cast(Body, None), person.files[0].parent, formats)
-            done[n] = replace(person, files=(*person.files, *files))
+            export_motion(done[-1][0], cast(Body, None), folders[n].path, formats)
+        progress("fuse", total, total)
     except KeyboardInterrupt:
         return done, notes, False
     return done, notes, True
@@ -331,8 +312,8 @@ def _write(
     folder: ResultsFolder,
     notes: Sequence[str],
     assessment: Assessment,
-) -> PersonResult:
-    """Write motion, provenance, assessment and sensors.csv of one person.
+) -> Motion:
+    """Write motion, provenance, assessment and sensors.csv of one person; return the motion in the world.
 
     fused: motion in the frame of the reference sensor.
     world: (4, 4) transform from the reference sensor to the world.
@@ -351,10 +332,10 @@ def _write(
     record = provenance(f"fusion-{c.method}", c.seed, settings, recording.inputs, {"threads": c.threads})
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
     save_motion(motion, folder.motion)
-    files = [folder.motion, folder.write_json("provenance.json", record)]
-    files.append(folder.write_json(ASSESSMENT_FILE, assessment.document()))
+    folder.write_json("provenance.json", record)
+    folder.write_json(ASSESSMENT_FILE, assessment.document())
     write_text(folder.file("sensors.csv"), sensors_csv(fused))
-    return PersonResult(motion, (*files, folder.file("sensors.csv")), assessment)
+    return motion
 
 
 def sensors_csv(fused: Fused) -> str:

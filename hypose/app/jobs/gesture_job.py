@@ -3,41 +3,41 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pythonosc.osc_message import OscMessage
 
 from hypose.app.commands.console import Stages, print_note, say, stopping
-from hypose.app.live.gesture_sources import GestureSource, open_source
+from hypose.app.live.gestures import (
+    Teaching,
+    Watched,
+    Watching,
+    event_value,
+    growing_model,
+    learner_of,
+    open_source,
+    trained_model,
+)
 from hypose.app.live.osc import OscTarget, osc_message
 from hypose.app.live.servers import SocketListeners
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events
-from hypose.gestures.forest import Forest
-from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
+from hypose.gestures.events import average_precision
+from hypose.gestures.localise import Scratch, localise
 from hypose.gestures.model import GestureModel, check_gesture_name
-from hypose.gestures.online import Learner
-from hypose.gestures.trainer import Command, Feedback, SessionSettings, Trainer
+from hypose.gestures.trainer import Command, SessionSettings, Trainer
 from hypose.io.files import check_writable
 from hypose.options import MOST_FRAMES, Option, Seed
-from hypose.pipeline.gesture_files import (
-    GestureRecording,
-    SessionWriter,
-    content_of,
-    load_model,
-    read_recording,
-    save_model,
-)
+from hypose.pipeline.gesture_files import GestureRecording, content_of, load_model, read_recording, save_model
 
 _Say = Callable[[str], None]
 KEYS: dict[str, Command] = {
@@ -72,142 +72,42 @@ def typed_commands() -> Callable[[], list[Command]]:
     return since
 
 
-def new_learner(seed: int) -> Learner:
-    """Make a learner with the usual settings."""
-    return Learner.new(np.random.default_rng(seed))
-
-
-def growing_model(path: Path, gesture: str) -> GestureModel:
-    """Load the model of a gesture to train it further.
-
-    Raises: InputError where it is of another gesture.
-    """
-    model = load_model(path)
-    if model.name != gesture:
-        raise InputError(f"{path} is of {model.name}, not of {gesture}; give the model of that gesture.")
-    return model
-
-
-def replaced_model(path: Path, gesture: str, say: _Say) -> None:
-    """Tell the user, before anything is learned, that an existing model file will be replaced; nothing where it does
-    not exist.
-
-    Raises: InputError where the file is of another gesture, or no model.
-    """
-    try:
-        old = load_model(path)
-    except InputError:
-        raise InputError(f"{path} is there already, and no model that can be read; give another file.") from None
-    if old.name != gesture:
-        raise InputError(f"{path} is the model of {old.name}, not of {gesture}; give another file.")
-    how = f"to go on with it, stop and add --resume {path}"
-    say(f"note: {path} holds a model of {gesture} already, which will be replaced; {how}.")
-
-
 def run_session(
-    source: GestureSource,
-    gesture: str,
-    learner: Learner,
-    settings: SessionSettings,
-    *,
-    record: Path | None,
-    commands: Callable[[], list[Command]] = list,
-    say: _Say,
-    model: GestureModel | None = None,
+    session: Teaching, commands: Callable[[], list[Command]] = list, say: _Say = print_note
 ) -> GestureModel:
-    """Run an interactive session until its test begins or the source ends, and train a forest on it.
+    """Run a session that teaches a gesture until its test begins or the source ends; close it and its source.
 
-    source: depth pictures; closed at the end.
-    gesture: name of the gesture.
-    learner: forest that is trained.
-    settings: lengths and number of the phases.
-    record: new folder for the recording; None: nothing is recorded.
     commands: gives the commands since the last call.
     say: prints a sentence.
-    model: older model whose history is continued.
     Returns: the trained model; its threshold is None where gesture and other movement were not both seen.
     Raises: InputError where nothing was learned.
     """
-    trainer = Trainer(learner, settings)
-    asked = learned = taught = 0
-    for f in follow_session(source, gesture, trainer, record=record, commands=commands, say=say):
-        wanted, used = f.instruction.learn == "gesture", f.taught is not None
-        asked, learned, taught = asked + wanted, learned + (wanted and used), taught + used
-    where = _range(learner.settings.look.plan)
-    if not learned and (asked or not learner.strength):  # a forest of the gesture may learn other movement only
+    shown, source, trainer = "", session.source, session.trainer
+    rounds = trainer.settings.rounds
+    try:
+        while session.phase != "test" and (taken := source.take(session.phase)) is not None:
+            f = session.frame(taken, commands(), taken.box)
+            text = f"round {trainer.session.round + 1}/{rounds}: {f.instruction.prompt}"
+            if text != shown:
+                known = session.phase != "test" and f.threshold is not None
+                say(text + (f" (threshold {in_cm2(f.threshold)})" if known else ""))
+                shown = text
+    finally:
+        session.close()
+        source.close()
+    asked, learned, where = session.asked, session.learned("gesture"), _range(trainer.learner.settings.look.plan)
+    if not learned and (asked or not trainer.learner.strength):  # a forest of the gesture may learn other movement only
         raise InputError(
             f"Nothing was learned from {source.name}: {asked} frames asked for the gesture, and none had depth {where} "
             "in the box; come nearer, and keep the gesture in the box."
         )
     if 2 * learned < asked:
         say(f"Only {learned} of {asked} frames of the gesture had depth {where} in the box.")
-    entry = {"session": source.name, "frames_learned": taught}
-    if record is not None:
-        entry["content"] = content_of(record)
-    return _model(gesture, trainer, model, [entry])
-
-
-def _model(gesture: str, trainer: Trainer, old: GestureModel | None, entries: Sequence[dict[str, Any]]) -> GestureModel:
-    """Make the model of a trained forest.
-
-    gesture: its name.
-    trainer: holds the forest and gives the threshold.
-    old: model that was trained further; None: a new one.
-    entries: what was learned this time, for the history of the model.
-    """
-    history = (*(() if old is None else old.history), *entries)
-    return GestureModel(gesture, trainer.learner, trainer.final_threshold(), history)
+    return session.model()
 
 
 def _range(plan: ScanPlan) -> str:
     return f"between {plan.near_mm / 1000:g} and {plan.far_mm / 1000:g} m"
-
-
-def follow_session(
-    source: GestureSource,
-    gesture: str,
-    trainer: Trainer,
-    *,
-    record: Path | None,
-    commands: Callable[[], list[Command]],
-    say: _Say,
-) -> Iterator[Feedback]:
-    """Lead through a session, and yield the feedback on each frame until its test begins or the source ends.
-
-    source: depth pictures; closed at the end.
-    gesture: name of the gesture.
-    trainer: runs the phases, and trains its forest.
-    record: new folder for the recording; None: nothing is recorded.
-    commands: gives the commands since the last call.
-    say: prints a sentence.
-    """
-    writer, rounds = None, trainer.settings.rounds
-    if record is not None:
-        writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": rounds})
-    box, shown, phase = (source.size[0] / 2, 0.45 * source.size[1]), "", "do_gesture"
-    try:
-        while trainer.session.phase != "test" and (taken := source.take(phase)) is not None:
-            given, before, box = commands(), trainer.session, taken.box or box
-            f = trainer.frame(taken.time, taken.depth, source.lens, box, given)
-            now, session = f.instruction, trainer.session
-            phase = now.phase
-            if writer is not None:
-                paused = now.learn is None and phase in ("positive", "negative")
-                kept, is_gesture = "free" if paused else phase, int(now.learn == "gesture")
-                writer.add(taken.time, taken.depth, kept, now.segment, is_gesture, box)
-                for c in given:
-                    undone = session.undone[len(before.undone) :] if c == "undo" else ()
-                    writer.act(taken.time, c, str(undone[0]) if undone else "")
-            text = f"round {session.round + 1}/{rounds}: {now.prompt}"
-            if text != shown:
-                known = phase != "test" and f.threshold is not None
-                say(text + (f" (threshold {in_cm2(f.threshold)})" if known else ""))
-                shown = text
-            yield f
-    finally:
-        if writer is not None:
-            writer.close()
-        source.close()
 
 
 def in_cm2(threshold: float | None) -> str:
@@ -216,36 +116,27 @@ def in_cm2(threshold: float | None) -> str:
 
 
 def learn_recordings(
-    recordings: Sequence[GestureRecording],
-    gesture: str,
-    learner: Learner,
-    passes: int,
-    say: _Say,
-    old: GestureModel | None = None,
+    recordings: Sequence[GestureRecording], gesture: str, passes: int, old: GestureModel | None, seed: int
 ) -> GestureModel:
     """Train a forest with recorded sessions in the order of time, as the live session would.
 
     gesture: name of the gesture, which the recordings must have.
-    learner: forest that is trained.
     passes: number of times all recordings are learned.
-    say: prints a sentence.
-    old: model that is trained further.
+    old: model that is trained further; None: a new forest, with the random numbers of `seed`.
     Returns: the trained model.
     Raises: InputError where the recordings have no usable frame of the gesture.
     """
-    trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
+    trainer, seen, asked, shown = Trainer(learner_of(old, seed)), 0, 0, 0
     for k in range(passes):
-        for r in recordings:
-            number = r.number(gesture)
-            for f in r.learned():
-                shows = f.phase == "positive" and f.gesture == number
-                taught = trainer.learn("gesture" if shows else "negative", r.picture(f), r.lens, (f.x, f.y)) is not None
-                seen, asked, shown = seen + taught, asked + shows, shown + (taught and shows)
-        say(f"pass {k + 1} of {passes}: {seen} frames learned")
-    if not shown and (asked or not learner.strength):
-        raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
-    entries = [{"recording": r.folder.name, "passes": passes, "content": r.content} for r in recordings]
-    return _model(gesture, trainer, old, entries)
+        for e in itertools.chain.from_iterable(r.examples(gesture) for r in recordings):
+            kind = "gesture" if e.gesture else "negative"
+            taught = trainer.learn(kind, e.depth, e.lens, (e.x, e.y)) is not None
+            seen, asked, shown = seen + taught, asked + e.gesture, shown + (taught and e.gesture)
+        print_note(f"pass {k + 1} of {passes}: {seen} frames learned")
+    if not shown and (asked or not trainer.learner.strength):
+        raise InputError(_NOTHING.format(gesture=gesture, where=_range(trainer.learner.settings.look.plan)))
+    entries = [{"recording": r.folder.name, "passes": passes, "content": content_of(r.folder)} for r in recordings]
+    return trained_model(gesture, trainer, trainer.final_threshold(), old, entries)
 
 
 _NOTHING = (
@@ -254,41 +145,18 @@ _NOTHING = (
 )
 
 
-@dataclass(frozen=True)
-class Watched:
-    """Result of the search for gestures in one frame.
-
-    time: s.
-    found: best place of each gesture.
-    events: gestures that start or end in this frame.
-    """
-
-    time: float
-    found: list[Localisation]
-    events: list[Event]
-
-
 _EMPTY = 30
 """Frames in a row without usable depth that are reported."""
 
 
-def watch(
-    source: GestureSource,
-    models: Sequence[GestureModel],
-    settings: LocaliseSettings,
-    limits: Sequence[EventSettings],
-    say: _Say = lambda text: None,
-) -> Iterator[Watched]:
-    """Localise the gestures of all models in every frame of a source, and yield the result of each frame.
+def watch(session: Watching, say: _Say = print_note) -> Iterator[Watched]:
+    """Yield the result of a session that watches for gestures for every picture of its source, which is closed at the
+    end.
 
-    source: depth pictures; closed at the end.
-    settings: settings of the localisation.
-    limits: settings of the events, per gesture.
     say: prints a sentence when no depth is near enough.
     Raises: EvidenceError at the end of a source without usable depth.
     """
-    forests, plan, empty, near = loaded_forests(models), settings.plan, 0, False
-    scratch, state = Scratch(), EventState()
+    source, plan, empty, near = session.source, session.settings.plan, 0, False
     try:
         while (taken := source.take("free")) is not None:
             some = taken.depth[::8, ::8]
@@ -296,9 +164,7 @@ def watch(
             near = near or not empty
             if empty == _EMPTY:
                 say(f"{source.name}: {_EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
-            found = localise(taken.depth, source.lens, forests, settings, scratch)
-            state, events = detect_events(state, found, taken.time, limits)
-            yield Watched(taken.time, found, events)
+            yield session.frame(taken)
         if not near:
             raise EvidenceError(
                 f"{source.name}: no frame has depth {_range(plan)}, where gestures are looked for; come nearer, or see "
@@ -306,33 +172,6 @@ def watch(
             )
     finally:
         source.close()
-
-
-def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
-    """Return the forests of the models.
-
-    Raises: InputError where two models are of the same gesture.
-    """
-    names = [m.name for m in models]
-    if len(set(names)) < len(names):
-        raise InputError(f"Two models are for the same gesture ({', '.join(names)}); give one of each.")
-    return [m.learner.forest.freeze() for m in models]
-
-
-def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
-    """Return the threshold of every gesture, cm^2.
-
-    given: threshold that replaces those of all models; None: each model's own threshold is used.
-    Raises: InputError names the gesture that has none.
-    """
-    out = [m.threshold if given is None else given for m in models]
-    for m, value in zip(models, out, strict=True):
-        if value is None or value <= 0:
-            raise InputError(
-                f"The model of {m.name!r} has no threshold yet: its session ended before gesture and movement were "
-                "seen; train on, or give --threshold."
-            )
-    return [float(value) for value in out if value is not None]
 
 
 def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
@@ -343,16 +182,14 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
         frames that are found within 5 cm (found_share) and of other frames above the threshold (false_share).
     Raises: InputError where the recording has no usable frames.
     """
-    number, forest = recording.number(model.name), model.learner.forest.freeze()
-    scratch, plan, rows, measured = Scratch(), ScanPlan(), [], 0
-    for f in recording.learned():
-        depth, shows = recording.picture(f), f.phase == "positive" and f.gesture == number
-        found = localise(depth, recording.lens, [forest], None, scratch)[0]
-        off = float(np.hypot(found.x - f.x, found.y - f.y)) if shows else np.inf
-        surface = surface_depth(depth, f.x, f.y) if shows else None
+    scratch, plan, forest, rows, measured = Scratch(), ScanPlan(), model.learner.forest.freeze(), [], 0
+    for e in recording.examples(model.name):
+        found = localise(e.depth, e.lens, [forest], None, scratch)[0]
+        off = float(np.hypot(found.x - e.x, found.y - e.y)) if e.gesture else np.inf
+        surface = surface_depth(e.depth, e.x, e.y) if e.gesture else None
         measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
         z = found.position[2] if found.position is not None else np.inf
-        rows.append((found.score, off, off * z / recording.lens.fx if shows else np.inf))
+        rows.append((found.score, off, off * z / e.lens.fx if e.gesture else np.inf))
     if not rows:
         raise InputError(f"{recording.folder} has no labelled frames; record a session with prompts.")
     s, e, m = np.array(rows).T
@@ -378,23 +215,6 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
 
 WAITING = 256
 """Most texts that wait for a slow listener."""
-
-
-def event_line(event: Event, names: Sequence[str]) -> str:
-    """Encode an event as one line of JSON.
-
-    names: names of the gestures, by their number minus 1.
-    """
-    value = {
-        "event": event.kind,
-        "gesture": names[event.gesture - 1],
-        "time": round(event.time, 4),
-        "x": round(event.x, 1),
-        "y": round(event.y, 1),
-        "position": None if event.position is None else [round(float(v), 4) for v in event.position],
-        "score": round(event.score, 3),
-    }
-    return json.dumps(value)
 
 
 def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float]) -> list[OscMessage]:
@@ -423,7 +243,7 @@ def gesture_lines(watched: Watched, names: Sequence[str]) -> list[str]:
     """
     scores = {names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
     frame = json.dumps({"time": round(watched.time, 4), "scores": scores})
-    return [frame, *(event_line(e, names) for e in watched.events)]
+    return [frame, *(json.dumps(event_value(e, names)) for e in watched.events)]
 
 
 # ---- commands ------------------------------------------------------------------------------------------------------
@@ -456,17 +276,16 @@ def gesture_train(
     check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
-        replaced_model(out, gesture, print_note)
-    learner = new_learner(seed) if old is None else old.learner
+        growing_model(out, gesture)  # refuses to replace the model of another gesture, and what is none
+        how = f"to go on with it, stop and add --resume {out}"
+        print_note(f"note: {out} holds a model of {gesture} already, which will be replaced; {how}.")
     if recording:
-        model = learn_recordings([read_recording(r) for r in recording], gesture, learner, passes, print_note, old)
+        model = learn_recordings([read_recording(r) for r in recording], gesture, passes, old, seed)
     else:
         settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+        session = Teaching(opened, gesture, settings, old=old, seed=seed, record=record_to)
         print_note(_LETTERS)
-        about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
-        model = run_session(opened, gesture, learner, settings, **about)
-    if old is not None and model.threshold is None:  # only the gesture, or only movement, was seen this time
-        model = replace(model, threshold=old.threshold)
+        model = run_session(session, typed_commands())
     save_model(model, out)
     say(f"{gesture}: {int(model.learner.forest.size.sum())} nodes, threshold {in_cm2(model.threshold)}")
     say(f"Model: {out}")
@@ -490,22 +309,22 @@ def gesture_run(
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and to the outputs that the options name."""
     loaded = [load_model(m) for m in models]
-    least = thresholds(loaded, threshold)
-    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in least]
-    names, settings = [m.name for m in loaded], LocaliseSettings(adaptation_rate=adaptation_rate)
+    how = {"adaptation_rate": adaptation_rate, "hold_s": hold, "rest_s": rest}
     with stopping(), contextlib.ExitStack() as opened:
         target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
         listeners = None
         if ws is not None:
             listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, WAITING)))
-        pictures = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(pictures, loaded, settings, limits, print_note), 1):
-            for event in watched.events:
-                print(event_line(event, names), flush=True)
+        session = Watching(open_source(source, loaded[0].name, seed), loaded, threshold, **how)
+        names, limits = session.names, [limit.threshold for limit in session.limits]
+        for k, watched in enumerate(watch(session), 1):
+            scores, *events = gesture_lines(watched, names)
+            for line in events:
+                print(line, flush=True)
             if target is not None:
-                target.send(gesture_osc(watched, names, least))
+                target.send(gesture_osc(watched, names, limits))
             if listeners is not None:
-                for line in gesture_lines(watched, names):
+                for line in (scores, *events):
                     listeners.post(line)
             if frames and k >= frames:
                 break
@@ -517,7 +336,7 @@ def gesture_evaluate(
 ) -> None:
     """Evaluate a model on a recorded session: average precision, and hits and false alarms at its threshold."""
     loaded, session = load_model(model), read_recording(recording)
-    if loaded.learned(session.content):
+    if loaded.learned(content_of(recording)):
         print_note(
             f"note: {model} has learned from {recording}: the figures say how well it remembers that, and not how well "
             "it finds the gesture elsewhere; give a session that was not learned."

@@ -21,8 +21,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_notes, say, stopping
 from hypose.app.options import TrackCommand
 from hypose.app.reports.report import picture_rows, report_html
-from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
-from hypose.app.reports.summary import (
+from hypose.app.reports.report_parts import (
     CONTENT_POLICY,
     DESCRIPTIONS,
     html_list,
@@ -31,16 +30,18 @@ from hypose.app.reports.summary import (
     require_found,
     summarize,
 )
-from hypose.app.studio.view_bundle import Rivals, in_recording
+from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
+from hypose.app.studio.view_bundle import Rivals, ViewResult
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
+from hypose.geometry import runs
 from hypose.io.files import check_writable, claimed
-from hypose.io.motions.c3d import joint_residuals, write_c3d
+from hypose.io.motions.animation import write_people_glb
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.gltf import write_people_glb
+from hypose.io.motions.marker_files import joint_residuals, write_c3d
 from hypose.io.motions.results import (
     ResultsFolder,
     load_body,
@@ -55,17 +56,15 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
-from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.person_paths import KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
-from hypose.pipeline.run import PeopleResult, TrackResult, track_people
-from hypose.pipeline.subject_from_motion import load_subject, subject_file
-from hypose.pipeline.track import chosen_people, keypoint_people, track_person, wanted_of
+from hypose.pipeline.run import PeopleResult, TrackResult
+from hypose.pipeline.subject import SubjectOptions, load_subject, subject_file
+from hypose.pipeline.track import chosen_people, keypoint_people, track_people, track_person, wanted_of
+from hypose.pipeline.track_management import KnownPerson, said_of_places
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
@@ -189,8 +188,14 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     record = record_of(job)
     compile_before(progress, *(() if several else _kernels(recording, job.options)))
     before = finished_before(job, record) if job.command.resume and not several else None
-    with _frames(job, progress) as source:
-        found, absent = _track(job, source, record, progress) if before is None else _alone(before)
+    frames = (
+        people_frames(recording, job.options, progress)
+        if several
+        else FrameStream(recording, frames_wanted(recording, job.options), progress=progress)
+    )
+    with frames as source:
+        known = None if before is None else (PeopleResult((before,), True), "")
+        found, absent = known or _track(job, source, record, progress)
         people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
         first = people[0]
         for one in people:
@@ -208,19 +213,6 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.notes)
     return Outcome(first.motion, found.complete, (*notes, *said), truth, assessment)
-
-
-def _frames(job: TrackJob, progress: ProgressCall) -> FrameStream:
-    """Open the frames of a job: those of all people for --people."""
-    recording, options = job.recording, job.options
-    if job.command.people is not None:
-        return people_frames(recording, options, progress)
-    return FrameStream(recording, frames_wanted(recording, options), progress=progress)
-
-
-def _alone(tracked: TrackResult) -> tuple[PeopleResult, str]:
-    """Make the result of a single person, who has no name; see `_track`."""
-    return PeopleResult((tracked,), tracked.complete), ""
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
@@ -242,8 +234,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
-    return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
+    masks = ("solver", *depth, "scorer", "outlines")
+    return masks if all("masks" in view.files for view in recording.views) else (*masks, "pictures")
 
 
 def _track(
@@ -269,11 +261,11 @@ def _track(
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
 
-        return _alone(
-            fuse_mixture(source, rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about)
-        )
-    command = f"hypose track {shlex.quote(str(recording.folder))} --people all"
-    return _alone(track_person(source, options, resume=job.command.resume, command=command, **about))
+        one = fuse_mixture(source, rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about)
+    else:
+        command = f"hypose track {shlex.quote(str(recording.folder))} --people all"
+        one = track_person(source, options, resume=job.command.resume, command=command, **about)
+    return PeopleResult((one,), one.complete), ""
 
 
 def _absent(found: PeopleResult, only: Sequence[KnownPerson]) -> str:
@@ -410,12 +402,12 @@ def _export_and_report(
     video, reported = job.command.overlay and not one.name, job.command.report
     files += [results.file("overlay.webm")] * video + [results.file("report.html")] * reported
     if video or reported:
-        view = in_recording(
-            recording,
+        view = ViewResult(
+            f"{recording.name}: {one.name}" if one.name else recording.name,
             motion,
             body,
+            recording,
             **about,
-            title=f"{recording.name}: {one.name}" if one.name else recording.name,
             citation=citation_of(job.options.recipe, job.options.refine),
             first_frame=recording.frames.start,
             rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),

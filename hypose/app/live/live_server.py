@@ -2,7 +2,7 @@
 (docs/live.md).
 
 Everything runs in one thread: a line that arrives is parsed and fused, and a timer sends the frames that are due. All
-input is limited: bytes and lines per second, sensors, persons, clients, and messages kept for a slow client.
+input is limited: bytes per line, sensors, persons, clients, and messages kept for a slow client.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same
 from hypose.errors import InputError, visible
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import LiveFrame, LiveFuser
+from hypose.fusion.people import LiveFrame, LiveFuser
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
@@ -54,8 +54,6 @@ class FusionServerOptions:
         connect.
     record: new folder for a recording; None: nothing is recorded.
     settings: settings of the output instants.
-    lines_per_s, burst: limits of received lines.
-    clients: most WebSocket connections.
     waiting: messages kept for a slow listener.
     Raises: InputError where the token has an invalid form.
     """
@@ -67,9 +65,6 @@ class FusionServerOptions:
     token: str | None = None
     record: Path | None = None
     settings: AlignSettings = AlignSettings()
-    lines_per_s: float = 5000.0
-    burst: float = 2000.0
-    clients: int = 32
     waiting: int = 32
 
     def __post_init__(self) -> None:
@@ -96,13 +91,12 @@ class LiveServer:
         self.udp_port = self.ws_port = 0
         self._note, self.clock = note, clock
         self._complained, self._silent = -math.inf, 0
-        self._allowance, self._refilled = options.burst, -math.inf
         self._writer = FolderWriter(options.record) if options.record is not None else None
         self.unrecorded = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
-        o = options
-        self.sockets = SocketServer(self._hello, o.waiting, clients=o.clients, take=self.take, token=self.token)
+        self.listeners: list[_Say] = []  # receivers of all messages
+        self.sockets = SocketServer(self._hello, options.waiting, clients=32, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
 
@@ -156,10 +150,8 @@ class LiveServer:
         now = self.now()
         self.received += 1
         held = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-        if self.token and self.token.encode() not in held:  # a cheap test, so that strangers do not use up the limit
+        if self.token and self.token.encode() not in held:  # a cheap test first
             return self._ignore("the token is missing or wrong", now)
-        if not self._allowed(now):
-            return self._ignore("more lines arrive than are taken", now)
         try:
             if len(data) > MAX_SKELETON_LINE:
                 return self._ignore(f"a line has more than {MAX_SKELETON_LINE} bytes", now)
@@ -184,17 +176,6 @@ class LiveServer:
             self.unrecorded, self._writer = str(error), None
             self._note(f"Recording stops: {error}")
 
-    def _allowed(self, now: float) -> bool:
-        """Count a line against the limit of received lines (a token bucket); return whether it is within it."""
-        o = self.options
-        if self._refilled > -math.inf:
-            self._allowance = min(o.burst, self._allowance + (now - self._refilled) * o.lines_per_s)
-        self._refilled = now
-        if self._allowance < 1:
-            return False
-        self._allowance -= 1
-        return True
-
     def _ignore(self, reason: str, now: float) -> str:
         """Count an ignored line, and report it at most every 5 s; return the reason."""
         self.ignored += 1
@@ -213,12 +194,11 @@ class LiveServer:
             self._send(frame, self.now())
         if self._timer is not None:
             self._timer.cancel()
-        due, now = self.fuser.due(), self.now()
+        due, now = self.fuser.aligner.due(), self.now()
         self._timer = asyncio.get_running_loop().call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
-            if self.sockets.queues:
-                self.sockets.post(self._status(now))
+            self._post(lambda: self._status(now))
             self._record(lambda writer: writer.flush())
 
     def _send(self, frame: LiveFrame, now: float) -> None:
@@ -226,11 +206,17 @@ class LiveServer:
         self.frames += 1
         self.latencies.append(latency)
         self.people = len(frame.people)
-        if self.sockets.queues:
-            self.sockets.post(frame_json(frame, latency))
+        self._post(lambda: frame_json(frame, latency))
         if self._osc is not None:
             people = [(p.id, COMMON, p.joints, p.sd) for p in frame.people]
             self._osc.send(people_osc(frame.index, frame.time, latency, people, len(people)))
+
+    def _post(self, line: Callable[[], str]) -> None:
+        """Send a line, which is made only where it is received."""
+        if self.sockets.queues or self.listeners:
+            text = line()
+            for listener in (self.sockets.post, *self.listeners):
+                listener(text)
 
     def _status(self, now: float) -> str:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
@@ -248,7 +234,7 @@ class LiveServer:
                 "residual": _number(residuals.get(s.name, math.nan)),
                 "place": places[s.name].round(4).tolist() if s.name in places else None,
             }
-            for s in self.fuser.status(now)
+            for s in self.fuser.aligner.status(now)
         ]
         counts = {
             "received": self.received,
@@ -352,5 +338,5 @@ def _say_where(server: LiveServer, say: _Say) -> None:
 def _summary(server: LiveServer) -> str:
     ordered = sorted(server.latencies)
     p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
-    alive = sum(s.alive for s in server.fuser.status(server.now()))
+    alive = sum(s.alive for s in server.fuser.aligner.status(server.now()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."

@@ -1,20 +1,29 @@
-"""Send poses of live tracking to other programs: WebSocket and UDP (JSON), OSC, VMC (docs/cameras-live.md)."""
+"""Run live tracking, and send its poses to other programs: WebSocket and UDP (JSON), OSC, VMC
+(docs/cameras-live.md).
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import threading
+import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hypose.app.live.osc import OscTarget, osc_bundles, people_osc
+from hypose.app.live.osc import OscTarget, osc_bundles, people_osc, vmc_messages
 from hypose.app.live.servers import SocketListeners
-from hypose.app.live.vmc import vmc_messages
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
-from hypose.pipeline.live.engine import LiveResult, LiveStatus
-from hypose.pipeline.live.live_people import LivePose
+from hypose.pipeline.live.capture import CaptureOptions
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.live_people import LivePersonOptions, LivePose
+from hypose.pipeline.live.live_rig import LiveRig
+from hypose.pipeline.live.recorder import LiveRecorder
 
 _UPPER = np.triu_indices(3)
 _WAITING = 8
@@ -157,3 +166,61 @@ def status_json(status: LiveStatus) -> str:
         "fitted": status.fitted,
     }
     return json.dumps(value, separators=(",", ":"))
+
+
+class TrackingRun:
+    """Live tracking with the cameras of a rig, its outputs and its recording, from the start until `close`.
+
+    capture, person, people, pictures: options of the engine.
+    listeners: further receivers of the results.
+    record: new folder for a recording; None: nothing is recorded.
+    stop: event from outside that ends the tracking, also while it starts.
+    outputs: addresses of `PoseOutputs`.
+    Raises: InputError where an address, the folder or a camera cannot be used; nothing stays open then.
+    """
+
+    def __init__(
+        self,
+        cameras: LiveRig,
+        capture: CaptureOptions,
+        person: LivePersonOptions,
+        people: int,
+        *,
+        pictures: bool = False,
+        listeners: Sequence[Any] = (),
+        record: Path | None = None,
+        stop: threading.Event | None = None,
+        **outputs: Any,  # noqa: ANN401 (of different types)
+    ) -> None:
+        self.cameras = tuple(v.name for v in cameras.views)
+        self.recorder: LiveRecorder | None = None
+        with contextlib.ExitStack() as parts:
+            self.outputs = PoseOutputs(self.cameras, cameras.rate, clock=time.monotonic, **outputs)
+            parts.callback(self.outputs.close)
+            listeners = [self.outputs, *listeners]
+            if record is not None:
+                self.recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
+                parts.callback(self.recorder.close)
+                listeners.append(self.recorder)
+            options = LiveTrackingOptions(capture, person, people, pictures=pictures or record is not None)
+            self.engine = LiveEngine(cameras.rig, cameras.views, options, listeners, stop)
+            parts.callback(self.engine.stop)
+            self.engine.start()
+            parts.pop_all()
+
+    def close(self, record: str | None) -> str:
+        """Stop the tracking and complete the recording; return a sentence on the recording, "" where there is none.
+
+        record: name of the recording for the sentence.
+        Raises: InputError where the recording was removed meanwhile.
+        """
+        self.engine.stop()
+        try:
+            kept = self.recorder is not None and self.recorder.close()
+        finally:
+            self.outputs.close()
+        if self.recorder is None:
+            return ""
+        without = f", without {self.recorder.left_out} instants" if self.recorder.left_out else ""
+        nothing = "Nothing was recorded: no instant was seen by two cameras after the empty room was known."
+        return f"Recorded as {record}{without}." if kept else nothing

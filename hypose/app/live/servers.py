@@ -20,7 +20,6 @@ from typing import Any, TypeVar
 from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -148,7 +147,10 @@ class SocketServer:
     def post(self, what: str | None) -> None:
         """Send an item to all listeners; None marks the end."""
         for queue in self.queues:
-            self.dropped += put_newest(queue, what)
+            if queue.full():
+                queue.get_nowait()
+                self.dropped += 1
+            queue.put_nowait(what)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse a request with another path, too many connections or a wrong token; None: it is accepted."""
@@ -157,10 +159,7 @@ class SocketServer:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such path\n")
         if self._connections >= self._clients:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
-        try:
-            bearer = request.headers.get("Authorization", "")
-        except MultipleValuesError:
-            return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Authorization\n")
+        bearer = " ".join(request.headers.get_all("Authorization"))
         if self._token and not shows_secret(query, bearer, self._token):
             return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
         return None
@@ -190,33 +189,11 @@ class SocketServer:
         if hello := self._hello(path):
             queue.put_nowait(hello)
         self.queues.add(queue)  # after the first item nothing is missed
-        reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
             while (what := await queue.get()) is not None:
-                await connection.send(what)
+                await connection.send(what)  # a listener that has left is noticed here
         finally:
             self.queues.discard(queue)
-            reading.cancel()
-
-
-def put_newest(queue: asyncio.Queue, what: object) -> bool:
-    """Put an item into a queue, in place of the oldest one where the queue is full; return whether it was full."""
-    full = queue.full()
-    if full:
-        queue.get_nowait()
-    queue.put_nowait(what)
-    return full
-
-
-async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
-    """Read from a connection until the listener leaves, and then put the end mark into its queue.
-
-    Why: otherwise it is noticed only when the next item is sent.
-    """
-    with suppress(ConnectionClosed):
-        async for _ in connection:
-            pass
-    put_newest(queue, None)
 
 
 _T = TypeVar("_T")

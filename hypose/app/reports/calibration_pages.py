@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from hypose import __version__
+from hypose.app.reports.report_parts import html_list, html_table, page, picture_of
 from hypose.app.reports.result_pictures import close_up, jpeg, open_images, put_text
-from hypose.app.reports.summary import html_list, html_table, page, picture_of
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration
@@ -41,7 +41,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     cured: measured faults, of which the lag of the key points is used.
     Returns: picture; None without key points, with fewer than three cameras, or without pictures.
     """
-    if observed.keypoints is None or len(recording.rig) < 3:
+    if not observed.names or len(recording.rig) < 3:
         return None
     few = window(recording, observed.keypoints.shape[1])
     row = int(np.argmax((observed.keypoints[..., 2] > 0.5).sum(2).min(0)))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import gzip
 import html
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,20 +16,29 @@ from typing import Any
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports import charts
+from hypose.app.reports.report_parts import (
+    angle_chart,
+    cycle_chart,
+    fit_chart,
+    html_list,
+    html_table,
+    page,
+    picture_of,
+    sd_chart,
+    subject_rows,
+    summarize,
+    top_chart,
+)
 from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
-from hypose.app.reports.summary import html_list, html_table, page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.io.recordings.recording import Recording
-from hypose.pipeline.assessment import GOOD, UNTRUSTED
+from hypose.pipeline.assessment import GOOD, UNTRUSTED, trace_of
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.trace import trace_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
@@ -37,22 +48,16 @@ PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs J
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
 
 
-def write_report(path: Path, result: ViewResult, recording: Recording | None) -> Path:
-    """Write the report of a result, with pictures of its recording; return its path.
-
-    recording: None: the report has no pictures.
-    """
-    write_text(path, report_html(result, drawn_of(result, recording)))
+def write_report(path: Path, result: ViewResult) -> Path:
+    """Write the report of a result, with pictures of its recording where there are any; return its path."""
+    write_text(path, report_html(result, drawn_of(result)))
     return path
 
 
-def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
-    """Draw the pictures for a report of a result.
-
-    recording: recording of the result; None: there are no pictures.
-    """
+def drawn_of(result: ViewResult) -> OverlayRows:
+    """Draw the pictures for a report of a result; there are none without a recording."""
     motion, body, wanted = result.motion, result.body, picture_rows(result, False)
-    if recording is None:
+    if (recording := result.recording) is None:
         return OverlayRows()
     if body is None or motion.poses is None:
         wanted = replace(wanted, stills=())
@@ -60,7 +65,7 @@ def drawn_of(result: ViewResult, recording: Recording | None) -> OverlayRows:
     recording = replace(recording, frame_range=(frames.start, frames.stop))
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
-    with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(recording, None if masks else FrameSettings(masks=False)) as stream:
         return write_overlay("", recording, stream, [Shown("", motion, body)], wanted)
 
 
@@ -72,8 +77,9 @@ def picture_rows(result: ViewResult, video: bool) -> PictureRows:
         in the viewer: up to 16, fewer with many views, none where the viewer was not built.
     """
     small: Sequence[int] = ()
-    if _built() and result.pictures:
-        small = still_rows(result.motion, max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // len(result.pictures))))
+    count = 0 if result.recording is None else sum(view.has_pictures for view in result.recording.views)
+    if _built() and count:
+        small = still_rows(result.motion, max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // count)))
     return PictureRows(video, still_rows(result.motion), small)
 
 
@@ -127,7 +133,7 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
         caption = (
             "Intersection over union of the body's silhouette and the mask, mean over the views; 1 is a perfect fit."
         )
-        parts.append(_figure(charts.fit_chart(m), caption))
+        parts.append(_figure(fit_chart(m), caption))
     else:
         parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
     if np.isfinite(m.joint_sd).any():
@@ -138,16 +144,19 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
                 f" Of it {lasting:.1f} mm (median) would remain with more frames and more views like these: where the "
                 "joint is defined to be, errors common to all views, the calibration."
             )
-        parts.append(_figure(charts.sd_chart(m), caption))
+        parts.append(_figure(sd_chart(m), caption))
     if m.poses is not None and np.isfinite(m.poses).any():
         caption = (
             "Names and signs as in OpenSim's full-body model (Rajagopal 2016), degrees; all angles are in angles.csv."
         )
-        parts.append("<h2>Joint angles</h2>" + _figure(charts.angle_chart(m), caption))
+        parts.append("<h2>Joint angles</h2>" + _figure(angle_chart(m), caption))
     parts.append(gait_section(m, what.body))
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
     parts.append(
-        _figure(charts.top_chart(m, what.rig or (), what.truth), "Metres; grey: the cameras, and where they look.")
+        _figure(
+            top_chart(m, () if what.recording is None else what.recording.rig, what.truth),
+            "Metres; grey: the cameras, and where they look.",
+        )
         + "</div>"
     )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
@@ -162,12 +171,17 @@ def _head(what: ViewResult) -> str:
     and version.
     """
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
-    about = [f"files of {what.date}" if what.date else "", f"recipe {recipe}", f"hypose {__version__}"]
+    about = [f"recipe {recipe}", f"hypose {__version__}"]
+    with contextlib.suppress(OSError, IndexError):
+        views = what.recording.views if what.recording else ()
+        files = [path for view in views for path in view.files.values()]
+        written = time.localtime(files[0].stat().st_mtime)
+        about.insert(0, time.strftime("files of %Y-%m-%d", written))
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")
     return (
         f"<h1>{html.escape(what.title)}</h1>"
         + (f'<p class="{tone}">{html.escape(a.sentence)}</p>' if a is not None else "")
-        + f'<p class="dim">{html.escape(" · ".join(filter(None, about)))}</p>'
+        + f'<p class="dim">{html.escape(" · ".join(about))}</p>'
     )
 
 
@@ -175,8 +189,8 @@ def _cards(what: ViewResult) -> str:
     """Build the figures of the result, each with its usual value."""
     s = summarize(what.motion)
     cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
-    if what.rig is not None:
-        cards.append((str(len(what.rig)), "views"))
+    if what.recording is not None:
+        cards.append((str(len(what.recording.rig)), "views"))
     cards.append((f"{s.lost}", "frames lost (a good clip: none)"))
     cards.append((f"{s.extrapolated}", "frames extrapolated (a good clip: none)"))
     if np.isfinite(s.iou):
@@ -213,7 +227,7 @@ def gait_section(motion: Motion, body: Body | None) -> str:
     if cycles := angle_cycles(found.events, motion):
         caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
         caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
-        out += _figure(charts.cycle_chart(cycles), caption)
+        out += _figure(cycle_chart(cycles), caption)
     return out
 
 

@@ -32,7 +32,7 @@ from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, VideoWriter
-from hypose.pipeline.track_loop import FrameSource
+from hypose.pipeline.sources import FrameSource
 
 # BGR; also different for people with red-green colour blindness
 _LEFT, _RIGHT, _MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
@@ -76,8 +76,8 @@ class ViewImages:
         self.view, self.camera = view, camera
         # with small pictures several threads are no faster, and slow down the one that writes the video
         threads = 1 if math.prod(camera.size) <= _SMALL else None
-        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if view.has_pictures else None
-        self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
+        self.reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if view.has_pictures else None
+        self.size: tuple[int, int] = self.reader.size if self.reader is not None else camera.size
         self._memory: Image | None = None
 
     def read(self, index: int) -> Image | None:
@@ -86,21 +86,25 @@ class ViewImages:
         index: number of the video's frame.
         Returns: (h, w, 3) BGR; None where the view has no pictures, ends before the frame, or the frame is damaged.
         """
-        if self._reader is None or index >= self._reader.n_frames:
+        if self.reader is None or not 0 <= index < self.reader.n_frames:
             return None
         try:
-            if isinstance(self._reader, VideoReader):
-                image = self._memory = self._reader.read(index, self._memory)
-            else:
-                image = self._reader.read(index)
+            image = self.stored(index)
         except InputError:  # tracking has left out this frame of the view and reported it
             return None
-        return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
+        return image if self.view.source is not None or image is None else (image // 3 + 40).astype(np.uint8)
+
+    def stored(self, index: int) -> Image | None:
+        """Read a frame of the video, folder of images or masks."""
+        if not isinstance(self.reader, VideoReader):
+            return None if self.reader is None else self.reader.read(index)
+        self._memory = self.reader.read(index, self._memory)
+        return self._memory
 
     def close(self) -> None:
         """Release the file."""
-        if self._reader is not None:
-            self._reader.close()
+        if self.reader is not None:
+            self.reader.close()
 
 
 @contextlib.contextmanager

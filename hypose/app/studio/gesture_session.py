@@ -1,34 +1,66 @@
 """Gesture session of the studio, one per server (docs/studio-protocol.md, /ws/gesture).
 
-A page starts a session. A thread (`Run`) takes pictures at their pace, lets `Training` or `Watching` process them with
-the page's requests, reports the results, and saves.
+A page starts a session. A thread (`Run`) takes pictures at their pace, lets `Lesson` (which teaches a gesture) or
+`Watch` process them with the page's requests, reports the results, and saves. A forest is judged by frames that it has
+not learned yet (`Judge`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib.util
 import queue
 import threading
 import time as clock
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any, cast
 
-from hypose.app.live.gesture_sources import GestureSource, Taken, open_source
-from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.gesture_training import PHASES, Controls, Training, Watching
-from hypose.app.studio.gesture_views import depth_jpeg, map_png
-from hypose.app.studio.http import digits, request_choice, request_number, text, whole
-from hypose.app.studio.hub import DEPTH, MAP, Hub, Message, Topic
-from hypose.app.studio.live_topics import recording_folder
-from hypose.errors import HyposeError, InputError
-from hypose.gestures.model import check_gesture_name
-from hypose.gestures.trainer import COMMANDS, Command, SessionSettings
-from hypose.pipeline.gesture_files import load_model
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
+from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, event_value, growing_model, open_source
+from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.http import DEPTH, MAP, Hub, Message, Topic, digits, request_choice, request_number, text, whole
+from hypose.app.studio.live_topics import recording_folder
+from hypose.compute.forests import DepthImage
+from hypose.errors import HyposeError, InputError
+from hypose.gestures.depth_pictures import DepthLens, surface_depth
+from hypose.gestures.events import (
+    RADIUS_M,
+    Event,
+    EventSettings,
+    EventState,
+    average_precision,
+    detect_events,
+    precision_recall,
+)
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
+from hypose.gestures.model import check_gesture_name
+from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
+from hypose.io.files import read_bytes, read_json
+from hypose.pipeline.gesture_files import load_model, read_recording, save_model
+from hypose.synthetic.gesture_people import GESTURES, load_people
+
+PHASES = ("do_gesture", "positive", "release", "negative")
+"""Phases of a training session, in their order."""
+_JUDGED_S, _MOST_JUDGED = 1.0, 120
+"""Time at the beginning of a segment in which frames are judged, s, and most of the latest ones that count."""
+_WINDOW_S = 60.0
+"""Time of movement over which false alarms are counted, s."""
+_POINTS = 100
+"""Most points of a curve that are reported."""
+BOX_M = 0.1
+"""Half side of the box on the page, at the surface in it, m."""
+_TEST = 0
+"""Number of the segment of frames of the test."""
+_Step = tuple[dict[str, Any], NDArray[np.float32] | None]
+"""Result of a frame for the page: the step message (without seq), and the map of votes where wanted."""
 _FOLDER = "gestures"
 """Folder for sessions and models in the served folder."""
 _CAMERA = "realsense"
@@ -45,7 +77,295 @@ _LEAST_FULL, _FADING = 1e-5, 0.95
 """The map of votes shows the highest recent density as opaque: least such density (m^2 of voting surface per cell), and
 the factor by which it decreases per map. Why: densities differ with gesture, distance and amount of training.
 """
-_Make = Callable[[GestureSource], Training | Watching]
+
+
+class Judge:
+    """Judgement of a forest by frames before it learns them: those at the beginning of a segment, which differ most
+    from learned ones, and those of the test.
+
+    lens: lens parameters of the depth camera.
+    """
+
+    def __init__(self, lens: DepthLens) -> None:
+        self._lens = lens
+        self._frames: list[tuple[int, float, float]] = []  # segment, score (cm^2), error (m)
+        self._state, self._clock = EventState(), 0.0
+        self._last: float | None = None
+        self._alarms: list[float] = []
+
+    def see(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation, segment: int = _TEST) -> None:
+        """Add a frame.
+
+        depth: (h, w) uint16 mm.
+        at: true pixel of the gesture; None: it is not done.
+        found: place that the forest found.
+        segment: number of its segment; _TEST: it is of the test.
+        """
+        error = np.nan
+        if at is not None:
+            z = surface_depth(depth, *at)
+            far = np.inf if z is None else z / 1000 / self._lens.fx
+            error = float(np.hypot(found.x - at[0], found.y - at[1])) * far
+        self._frames.append((segment, found.score, error))
+
+    def move(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
+        """Count the events of a frame of other movement as false alarms.
+
+        time: s.
+        found: place that the forest found.
+        threshold: cm^2, from which it counts; None: not known yet.
+        hold_s: time for which a gesture must be held, s.
+        """
+        if self._last is not None and 0 < time - self._last < 1:
+            self._clock += time - self._last
+        elif self._last is not None:  # another segment: an event that was going on has ended
+            self._state = EventState()
+        self._last = time
+        if threshold is not None and threshold > 0:
+            settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
+            self._state, events = detect_events(self._state, [found], self._clock, settings)
+            self._alarms += [self._clock for e in events if e.kind == "start"]
+
+    def reported(self, undone: Collection[int] = ()) -> dict[str, Any]:
+        """Return the judgement for the page: of the frames of the test once these are of both kinds, else of the latest
+        frames of segments.
+
+        undone: numbers of segments that do not count.
+        Returns: numbers of frames, and of those with the gesture (positives); average precision (ap; None where all
+            frames are of one kind) and its curve; false_per_min, alarms per minute of the last minute of other
+            movement (None before 5 s of it), and tested_s, how long that was, s.
+        """
+        tested = [f for f in self._frames if f[0] == _TEST]
+        test = {bool(np.isnan(error)) for _, _, error in tested} == {True, False}
+        seen = tested if test else [f for f in self._frames if f[0] not in (_TEST, *undone)][-_MOST_JUDGED:]
+        scores, errors = np.array([f[1:] for f in seen]).reshape(-1, 2).T
+        correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
+        seconds = min(self._clock, _WINDOW_S)
+        recent = sum(t > self._clock - _WINDOW_S for t in self._alarms)
+        out = {"on": "test" if test else "segments", "frames": len(seen), "positives": positives, "ap": None}
+        out |= {"precision": [], "recall": [], "scores": [], "tested_s": round(seconds, 1)}
+        out |= {"false_per_min": recent * 60 / seconds if seconds > 5 else None}
+        if 0 < positives < len(seen):
+            precision, recall = precision_recall(scores, correct, positives)
+            ranked = scores[np.lexsort((correct, -scores))]
+            ranked = ranked[ranked > 0]
+            pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
+            out |= {"ap": average_precision(scores, correct, positives), "scores": ranked[pick].round(3).tolist()}
+            out |= {"precision": precision[pick].round(4).tolist(), "recall": recall[pick].round(4).tolist()}
+        return out
+
+
+@dataclass
+class Controls:
+    """Settings that a page changes while a session runs.
+
+    box: (x, y) px where the gesture is asked for; None: the middle.
+    threshold: cm^2; None: automatic.
+    hold_s: time for which a gesture must be held, s.
+    map: the map of votes is wanted.
+    """
+
+    box: tuple[float, float] | None = None
+    threshold: float | None = None
+    hold_s: float = 0.15
+    map: bool = False
+
+    def change(self, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
+        """Apply a message that changes box, threshold, hold or map.
+
+        size: (width, height) size of the pictures, px; a box outside is moved to the border.
+        Returns: False where the message is none of these.
+        Raises: InputError where its value is not possible.
+        """
+        kind = message.get("t")
+        if kind == "box":
+            x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
+            self.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
+        elif kind == "threshold":
+            value = message.get("value")
+            self.threshold = None if value is None else request_number(value, "the threshold (cm²)", 1e-3, 1e6)
+        elif kind == "hold":
+            self.hold_s = request_number(message.get("seconds"), "the time to hold (s)", 0, 10)
+        elif kind == "map":
+            self.map = message.get("on") is True
+        return kind in ("box", "threshold", "hold", "map")
+
+
+class Lesson(Teaching):
+    """Session that teaches one gesture for a page: it is judged and saved as well. Only the session's thread may call
+    it; `save` also after that thread has ended.
+
+    old: file of the model that is trained further, or None.
+    path: file for the model.
+    Other arguments: as of `Teaching`.
+    """
+
+    def __init__(
+        self,
+        source: GestureSource,
+        gesture: str,
+        settings: SessionSettings,
+        *,
+        old: Path | None,
+        seed: int,
+        record: Path,
+        path: Path,
+    ) -> None:
+        model = None if old is None else growing_model(old, gesture)
+        super().__init__(source, gesture, settings, old=model, seed=seed, record=record)
+        self.path, self.names = path, [gesture]
+        self.reported = {"rounds": settings.rounds, "seconds": {p: getattr(settings, f"{p}_s") for p in PHASES}}
+        self._judge, self._scratch, self._events = Judge(source.lens), Scratch(), EventState()
+
+    def step(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Step:
+        """Process a picture.
+
+        taken: the picture.
+        controls: settings of the page.
+        commands: commands of the page since the last picture.
+        fresh: False: only the commands are new, the picture was processed before.
+        """
+        f = self.frame(taken, commands, controls.box, fresh)
+        found, density = self._look(taken, f, controls.map)
+        i, session, events = f.instruction, self.trainer.session, list[Event]()
+        threshold = controls.threshold or (self.final if i.phase == "test" else None) or f.threshold
+        if fresh:
+            both_known = None not in session.before  # the segment began with a forest that knew gesture and movement
+            if self.usable and both_known and taken.time - session.entered < _JUDGED_S:
+                self._judge.see(taken.depth, self.place if i.learn == "gesture" else None, found, i.segment)
+            if i.phase == "test" and self.source.clear():
+                self._judge.see(taken.depth, taken.box, found)
+            if i.phase == "negative" and not self.paused:
+                self._judge.move(taken.time, found, threshold, controls.hold_s)
+            if i.phase == "test" and threshold:
+                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+                self._events, events = detect_events(self._events, [found], taken.time, settings)
+        z = surface_depth(taken.depth, *self.place)
+        half = BOX_M * self.source.lens.fx / (2.0 if z is None else z / 1000)
+        message = {
+            **_step(taken, found, threshold, controls, events, self.names),
+            "phase": i.phase,
+            "prompt": i.prompt,
+            "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),
+            "round": session.round + 1,
+            "paused": self.paused,
+            "box": [round(self.place[0], 1), round(self.place[1], 1), round(half, 1)],
+            "learned": None if f.taught is None else list(f.taught.learned),
+            "mined": [[round(found.x, 1), round(found.y, 1)]] if f.taught is not None and f.taught.mined else [],
+            "high": _rounded(session.high),
+            "low": _rounded(session.low),
+            "counts": {
+                **{what: self.learned(what) for what in ("gesture", "negative", "pixels")},
+                "nodes": int(self.trainer.learner.forest.size.sum()),
+                "segments": session.segment - len(session.undone),
+            },
+        }
+        return message, density
+
+    def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
+        """Localise the gesture in a picture; where the picture is learned, with the forest as it was before.
+
+        taken, f: the picture, and what the trainer did with it.
+        wanted: the map of votes is wanted.
+        Returns: the place of the gesture, and the map or None.
+        """
+        known = f.taught.found if f.taught is not None else None
+        if known is not None and not wanted:
+            return known, None
+        look = LocaliseSettings() if f.instruction.phase == "test" else self.trainer.learner.settings.look
+        maps = densities(taken.depth, self.source.lens, [self.trainer.learner.forest], look, self._scratch)
+        found = known or settle(maps, taken.depth, self.source.lens, look, self._scratch)[0]
+        return found, maps[0][0] if wanted else None
+
+    def judged(self) -> dict[str, Any] | None:
+        """Return the judgement of the forest."""
+        return {"t": "judged", **self._judge.reported(self.trainer.session.undone)}
+
+    def save(self, controls: Controls) -> Path | None:
+        """Write the model; return its path, or None where nothing has been learned yet."""
+        if not self.learned("pixels"):
+            return None
+        save_model(self.model(controls.threshold), self.path)
+        return self.path
+
+
+class Watch(Watching):
+    """Session that watches for the gestures of models for a page; nothing is learned or written."""
+
+    reported: Mapping[str, Any] = {"rounds": 0, "seconds": {}}
+    folder: Path | None = None
+    phase, paused = "free", False
+
+    def step(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Step:
+        """Search for the gestures in a picture; arguments as of `Lesson.step`."""
+        for c in commands:
+            self.paused = c == "pause" if c in ("pause", "continue") else self.paused
+        limits = [replace(s, threshold=controls.threshold or s.threshold, hold_s=controls.hold_s) for s in self.limits]
+        w = self.frame(taken, limits, fresh)
+        best = max(w.found, key=lambda f: f.score / limits[f.gesture - 1].threshold)
+        nothing = dict.fromkeys(("left_s", "box", "learned", "high", "low"))
+        message = {
+            **_step(taken, best, limits[best.gesture - 1].threshold, controls, w.events, self.names),
+            **nothing,
+            "phase": "test",
+            "prompt": "Paused" if self.paused else "Watching",
+            "round": 0,
+            "paused": self.paused,
+            "mined": [],
+            "counts": dict.fromkeys(("gesture", "negative", "pixels", "nodes", "segments"), 0),
+            "found": [
+                {
+                    "gesture": self.names[f.gesture - 1],
+                    "score": round(f.score, 3),
+                    "x": round(f.x, 1),
+                    "y": round(f.y, 1),
+                    "threshold": _rounded(limit.threshold),
+                }
+                for f, limit in zip(w.found, limits, strict=True)
+            ],
+        }
+        return message, w.maps[best.gesture - 1] if controls.map else None
+
+    def judged(self) -> dict[str, Any] | None:
+        """Return None: nothing is judged while watching."""
+
+    def save(self, controls: Controls) -> Path | None:
+        """Return None: there is nothing to save."""
+
+    def close(self) -> None:
+        """Do nothing; there is nothing to close."""
+
+
+def _step(
+    taken: Taken,
+    found: Localisation,
+    threshold: float | None,
+    c: Controls,
+    events: Sequence[Event],
+    names: Sequence[str],
+) -> dict[str, Any]:
+    """Return the part of the step message on the place that was found in a picture, and on the events.
+
+    threshold: cm^2; None: not known yet.
+    c: settings of the page.
+    names: names of the gestures.
+    """
+    where = None if found.position is None else [round(float(v), 3) for v in found.position]
+    return {
+        "t": "step",
+        "time": round(taken.time, 3),
+        "cross": [round(found.x, 1), round(found.y, 1)] if found.score > 0 else None,
+        "position": where,
+        "score": round(found.score, 3),
+        "threshold": _rounded(threshold),
+        "manual": c.threshold is not None,
+        "detected": threshold is not None and found.score >= threshold,
+        "events": [event_value(e, names) for e in events],
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
 
 
 def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureSource:
@@ -120,52 +440,44 @@ class GestureTopic(Topic):
             mode = request_choice(message.get("mode"), "mode", ("train", "run"))
             where = text(message.get("source"), "source", 80, "choose a simulated person, a session or a camera")
             seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
-            gesture, make = (self._watching if mode == "run" else self._training)(message, where, seed)
-            source = open_feed(where, gesture, seed, self.catalog)
-            try:
-                activity = make(source)
-            except Exception:
-                _shut(source)
-                raise
-            self._run = Run(message, source, activity, self)
+            activity = (self._watch if mode == "run" else self._lesson)(message, where, seed)
+            self._run = Run(message, activity, self)
             self.hub.post(self.name, self.hello())
             self._run.thread.start()
 
-    def _watching(self, message: Message, where: str, seed: int) -> tuple[str, _Make]:
-        """Read a request to watch for the gestures of models; arguments and result as of `_training`."""
+    def _watch(self, message: Message, where: str, seed: int) -> Watch:
+        """Make the session that watches for the gestures of models; arguments as of `_lesson`."""
         ids = message.get("models")
         if not isinstance(ids, list) or not 1 <= len(ids) <= 16:
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
         models = [load_model(self.catalog.find("model", m).path) for m in ids]
-        return models[0].name, partial(Watching, models=models)
+        return Watch(open_feed(where, models[0].name, seed, self.catalog), models)
 
-    def _training(self, message: Message, where: str, seed: int) -> tuple[str, _Make]:
-        """Read a request to teach a gesture.
+    def _lesson(self, message: Message, where: str, seed: int) -> Lesson:
+        """Make the session that teaches a gesture.
 
         where: its source.
         seed: seed of random numbers.
-        Returns: the name of the gesture, and the function that makes the activity from the source.
         """
         gesture = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee").strip()
         check_gesture_name(gesture)
-        rounds, seconds = (
-            whole(message.get("rounds", 10), "the number of rounds", 1, 1000),
-            message.get("seconds") or {},
-        )
+        rounds = whole(message.get("rounds", 10), "the number of rounds", 1, 1000)
+        seconds = message.get("seconds") or {}
         if not isinstance(seconds, dict):
             raise InputError("Every phase must be given a number of seconds.")
         given = {f"{p}_s": request_number(seconds[p], f"the seconds of {p}", 0, 600) for p in PHASES if p in seconds}
         resumed = message.get("resume")
         old = None if resumed is None else self.catalog.find("model", resumed).path
-
-        def make(source: GestureSource) -> Training:
-            folder = recording_folder(self.catalog, _FOLDER, gesture)
-            names = (f"{gesture}{'' if n == 1 else f'-{n}'}.npz" for n in range(1, 10_000))
-            model = old or next(folder.parent / name for name in names if not (folder.parent / name).exists())
-            settings = SessionSettings(rounds=rounds, **given)
-            return Training(source, gesture, settings, seed, where != _CAMERA, old, folder, model)
-
-        return gesture, make
+        source = open_feed(where, gesture, seed, self.catalog)
+        record = recording_folder(self.catalog, _FOLDER, gesture)
+        names = (f"{gesture}{'' if n == 1 else f'-{n}'}.npz" for n in range(1, 10_000))
+        path = old or next(record.parent / name for name in names if not (record.parent / name).exists())
+        settings = SessionSettings(rounds=rounds, **given)
+        try:
+            return Lesson(source, gesture, settings, old=old, seed=seed, record=record, path=path)
+        except Exception:
+            _shut(source)
+            raise
 
     def close(self) -> None:
         """Stop the session and save everything, when the server ends."""
@@ -178,25 +490,21 @@ class Run:
     """Thread of one session.
 
     request: what the page requested; `fast`: recordings and simulated persons are not slowed down to real time.
-    source: source of the pictures.
-    activity: training or watching.
+    activity: the session.
     topic: its pages get the messages.
     """
 
-    def __init__(
-        self, request: Message, source: GestureSource, activity: Training | Watching, topic: GestureTopic
-    ) -> None:
+    def __init__(self, request: Message, activity: Lesson | Watch, topic: GestureTopic) -> None:
         self.over = False
         self.requests: queue.SimpleQueue[str] = queue.SimpleQueue()  # commands, "save", "stop", "again", "changed"
         self.thread = threading.Thread(target=self._work, daemon=True)
-        self._source, self._activity, self._topic = source, activity, topic
+        self._source, self._activity, self._topic = activity.source, activity, topic
         self._live, self._fast = request["source"] == _CAMERA, request.get("fast") is True
         self._request = {"models": [], "resume": None, **request}
         self._history: deque[list[Any]] = deque(maxlen=HISTORY)
         self._judged: dict[str, Any] | None = None
         self._controls = Controls()
         self._full = 0.0  # density that the map shows opaque
-        self._packed_ms = 0.0  # time to encode the last pictures
 
     def described(self) -> dict[str, Any]:
         """Return the SESSION object of the protocol."""
@@ -260,7 +568,7 @@ class Run:
                 requests.append("pause")
             fresh = last is None or not (waits or now < due) or "continue" in requests
             if fresh:
-                taken = self._source.take(a.asks)
+                taken = self._source.take(a.phase)
                 if taken is None:
                     return "The recording has ended."
                 begin = taken.time if last is None else begin
@@ -296,17 +604,15 @@ class Run:
         """
         a, hub = self._activity, self._topic.hub
         commands: list[Command] = [cast(Command, r) for r in requests if r in COMMANDS]
-        m, density = a.frame(taken, self._controls, commands, fresh)
+        m, density = a.step(taken, self._controls, commands, fresh)
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
-        self._say(m | {"seq": seq, "ms": {**m["ms"], "depth": self._packed_ms}})  # before the pictures are encoded
-        began = clock.perf_counter()
+        self._say(m | {"seq": seq})  # before the pictures are encoded
         if fresh or "again" in requests:
             hub.picture(GestureTopic.name, DEPTH, seq, taken.time, depth_jpeg(taken.depth))
         if density is not None:
             self._full = max(float(density.max()), _FADING * self._full, _LEAST_FULL)
             hub.picture(GestureTopic.name, MAP, seq, taken.time, map_png(density, self._full))
-        self._packed_ms = round(1e3 * (clock.perf_counter() - began), 2)
 
     def _save(self) -> None:
         """Save the trained model and report it, where anything was learned."""
@@ -316,3 +622,138 @@ class Run:
         model = catalog.id_of("model", path)
         recording = None if folder is None else catalog.id_of("session", folder)
         self._say({"t": "saved", "model": model, "path": f"{path.parent.name}/{path.name}", "recording": recording})
+
+
+# ---- pictures and lists ----------------------------------------------------------------------------------------------
+# Pictures of depth and votes, and lists of sessions, models and sources, for the page.
+
+
+_MOST_BYTES = 64 << 20
+"""Largest frames.csv of a session that is read, bytes."""
+_SIZE, _QUALITY = 96, 82
+"""Width and height of the thumbnail, px, and its JPEG quality."""
+_HALF_M = 0.22
+"""Half side of the shown square at the surface where the gesture is done, m."""
+_NEAREST_MM, _FARTHEST_MM = 500, 4200
+"""Range of the colours, mm; nearer and farther depths have the colour of the end."""
+_JPEG_QUALITY = 75
+_FARTHEST_LEVEL = 40
+"""Level of the farthest depth in the colour map, of 255; level 0, black, shows holes."""
+
+
+def depth_jpeg(depth: DepthImage) -> bytes:
+    """Encode a depth picture (h, w) uint16 mm as a coloured JPEG."""
+    return cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def coloured(depth: DepthImage) -> NDArray[np.uint8]:
+    """Convert a depth picture (h, w) uint16 mm to colours (h, w, 3) BGR; holes are dark."""
+    return cv2.applyColorMap(np.take(_levels(), depth), cv2.COLORMAP_INFERNO)  # type: ignore[return-value] - uint8, as it says
+
+
+def map_png(density: NDArray[np.float32], full: float) -> bytes:
+    """Encode a map of voting surface (rows, columns) as PNG; alpha is the share of `full`, the density
+    shown as opaque.
+    """
+    alpha = np.clip(density * (255 / max(full, 1e-12)), 0, 255).astype(np.uint8)
+    image = np.empty((*alpha.shape, 4), np.uint8)
+    image[..., :3] = (60, 90, 255)
+    image[..., 3] = alpha
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
+@cache
+def _levels() -> NDArray[np.uint8]:
+    """Return the level of each depth in mm in the colour map: 0 = hole, else the brighter the nearer."""
+    far = np.clip((np.arange(1 << 16) - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1)
+    level = np.rint(255 - (255 - _FARTHEST_LEVEL) * far).astype(np.uint8)
+    level[0] = 0
+    return level
+
+
+def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """List the recorded gesture sessions for the page, as JSON values, without reading their pictures."""
+    return [
+        {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
+        for item in catalog.items("session")
+        for gestures, frames in [_brief(item.path)]
+    ]
+
+
+def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """List the usable gesture models for the page, as JSON values."""
+    found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
+    return [{**_named(item, item.path.stem, catalog), **facts} for item, facts in found if facts is not None]
+
+
+def _named(item: Item, name: str, catalog: Catalog) -> dict[str, Any]:
+    """Return id, name and path of an item for a list."""
+    return {"id": item.id, "name": name, "path": catalog.shown(item.path)}
+
+
+@lru_cache(maxsize=512)
+def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
+    """Describe a model for the list; None where it cannot be used. changed: time of its last change, for the cache."""
+    try:
+        model = load_model(path)
+    except HyposeError:
+        return None
+    return {"gestures": [model.name], "growing": True, "thresholds": [model.threshold]}
+
+
+def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """List the sources of depth pictures for the page, as JSON values; a source that is not available has the key
+    "missing".
+    """
+    people = [
+        {"value": f"simulated:{n}", "title": f"Simulated person {n + 1}", "gestures": GESTURES}
+        for n in range(len(load_people()))
+    ]
+    recorded = [
+        {"value": f"session:{item.id}", "title": f"Recorded session {item.path.name}", "gestures": _brief(item.path)[0]}
+        for item in catalog.items("session")
+    ]
+    camera: dict[str, Any] = {"value": "realsense", "title": "RealSense camera"}
+    if importlib.util.find_spec("pyrealsense2") is None:
+        camera["missing"] = "The driver is not installed: pip install 'hypose[realsense]'."
+    return [*people, *recorded, camera]
+
+
+def _brief(folder: Path) -> tuple[list[str], int]:
+    """Read the names of the gestures and the number of frames of a session."""
+    try:
+        names = read_json(folder / "session.json", "a session.json").get("gestures")
+        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
+    except (HyposeError, AttributeError):
+        return [], 0
+    return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)
+
+
+def gesture_thumbnail(model: Path) -> bytes | None:
+    """Return a JPEG thumbnail of a gesture: the middle one of the frames that a training session learned the gesture
+    from.
+
+    model: path of the model file; its sessions are searched in the same folder, the latest first.
+    Returns: None where no session or frame is found.
+    """
+    learned = load_model(model)
+    for entry in reversed(learned.history):
+        folder = (
+            model.parent / Path(str(entry.get("session", ""))).name
+        )  # only its name is used, so that the folder lies next to the model
+        if folder == model.parent or not (folder / "session.json").is_file():
+            continue
+        recording = read_recording(folder)
+        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] == learned.name]
+        if not shown:
+            continue
+        frame = shown[len(shown) // 2]
+        depth = frame.depth()
+        z = surface_depth(depth, frame.x, frame.y)
+        half = _HALF_M * recording.lens.fx / (2.0 if z is None else z / 1000)
+        scale = _SIZE / (2 * half)
+        cut = cv2.getRotationMatrix2D((frame.x, frame.y), 0, scale)
+        cut[:, 2] += _SIZE / 2 - frame.x, _SIZE / 2 - frame.y
+        small = cv2.warpAffine(coloured(depth), cut, (_SIZE, _SIZE), flags=cv2.INTER_AREA)
+        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+    return None

@@ -25,8 +25,7 @@ from starlette.concurrency import run_in_threadpool
 
 from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.http import NotNow
-from hypose.app.studio.hub import Hub, Message, Topic
+from hypose.app.studio.http import Hub, Message, NotNow, Topic
 from hypose.app.studio.job_kinds import Plan, next_step, plan_job, uncalibrated
 from hypose.app.studio.recordings import edit_recording
 from hypose.errors import HyposeError

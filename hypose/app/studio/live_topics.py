@@ -8,8 +8,9 @@ import contextlib
 import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,9 @@ from starlette.concurrency import run_in_threadpool
 from hypose.app.live import simulated_sensors
 from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
-from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
+from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.http import NotNow, request_number, text, whole
-from hypose.app.studio.hub import Hub, Message, Topic
+from hypose.app.studio.http import Hub, Message, NotNow, Topic, request_number, text, whole
 from hypose.app.studio.job_kinds import free_folder
 from hypose.body.default_body import human
 from hypose.errors import InputError
@@ -31,16 +31,13 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
-from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 
 _FOLDER = "live"
 """Folder for recordings in the served folder."""
-_WAITING = 32
-"""Most messages of the fusion that wait to be sent to pages."""
 PICTURES_S = 0.25
 """Time between two pictures of the cameras on the page, s."""
 _WIDTH, _QUALITY = 320, 70
@@ -163,23 +160,16 @@ class FuseTopic(LiveTopic):
                 shutil.rmtree(record, ignore_errors=True)  # nothing was recorded there
             raise
         parts.push_async_callback(self._end, server)
-        works = [self._tell(server)]
+        server.listeners.append(self._tell)
         if seen is not None:
-            works.append(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
-        parts.push_async_callback(_cancel, [asyncio.ensure_future(work) for work in works])
+            sending = asyncio.ensure_future(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
+            parts.push_async_callback(_cancel, sending)
         running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
         return running | {"record": _reported(record)}
 
-    async def _tell(self, server: LiveServer) -> None:
-        """Forward the messages of the fusion server to the pages."""
-        queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
-        server.sockets.queues.add(queue)
-        try:
-            while True:
-                line = await queue.get()
-                self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
-        finally:
-            server.sockets.queues.discard(queue)
+    def _tell(self, line: str) -> None:
+        """Forward a message of the fusion server to the pages."""
+        self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
 
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""
@@ -188,11 +178,10 @@ class FuseTopic(LiveTopic):
             self._words.append(server.unrecorded or f"Recorded as {record}.")
 
 
-async def _cancel(tasks: Sequence[asyncio.Task[None]]) -> None:
-    """Cancel tasks and wait for their end."""
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+async def _cancel(task: asyncio.Task[None]) -> None:
+    """Cancel a task and wait for its end."""
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 class CameraTopic(LiveTopic):
@@ -204,16 +193,16 @@ class CameraTopic(LiveTopic):
         super().__init__(hub, catalog)
         skeleton = human().skeleton
         self.joints = {"joints": skeleton.joint_names, "parents": [int(p) for p in skeleton.parents]}
-        self._engine: LiveEngine | None = None
+        self._run: TrackingRun | None = None
         self._watching: asyncio.Task[None] | None = None
 
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start or stop the live run, or learn the empty room again ("room")."""
         if message["t"] != "room":
             return await super().heard(message)
-        if self._running is None or self._engine is None:
+        if self._running is None or self._run is None:
             raise NotNow("The empty room is learnt while the cameras run; start them.")
-        self._engine.learn_background()
+        self._run.engine.learn_background()
 
     async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start live tracking. The message has these fields:
@@ -233,55 +222,40 @@ class CameraTopic(LiveTopic):
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
         recorded = message.get("record") is True
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
-        names = tuple(v.name for v in cameras.views)
         record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
-        outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
-        parts.push_async_callback(run_in_threadpool, outputs.close)
         pictures = _Pictures(self._hub, self.name, cameras)
         parts.callback(pictures.close)
-        listeners: list[Any] = [outputs, pictures]
-        recorder = None
-        if record is not None:
-            recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, cameras.height)
-            parts.push_async_callback(self._recorded, recorder)
-            listeners.append(recorder)
         capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
-        how = LiveTrackingOptions(capture, LivePersonOptions(height=cameras.height), people, pictures=True)
-        self._engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
-        parts.push_async_callback(self._end, self._engine)
-        await run_in_threadpool(self._engine.start)
-        self._watching = asyncio.ensure_future(self._watch(self._engine, recorder))
-        port = outputs.listeners.port if outputs.listeners is not None else 0
-        running = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
+        person, outputs = LivePersonOptions(height=cameras.height), {"ws": ws, "osc": osc, "vmc": vmc}
+        about = {"pictures": True, "listeners": [pictures], "record": record, **outputs}
+        run = self._run = await run_in_threadpool(partial(TrackingRun, cameras, capture, person, people, **about))
+        parts.push_async_callback(self._end, run, _reported(record))
+        self._watching = asyncio.ensure_future(self._watch(run))
+        port = run.outputs.listeners.port if run.outputs.listeners is not None else 0
+        running = {"recording": recording.id, "cameras": run.cameras, "ws": port, "osc": osc, "vmc": vmc}
         return running | {"record": _reported(record), "played": not sources}
 
-    async def _watch(self, engine: LiveEngine, recorder: LiveRecorder | None) -> None:
+    async def _watch(self, run: TrackingRun) -> None:
         """Stop the run when all files are over or it has failed, and report that, and a failed recorder."""
         reported = False
-        while not engine.ended.is_set():
+        while not run.engine.ended.is_set():
             await asyncio.sleep(0.2)
-            if recorder is not None and recorder.failed and not reported:
+            if run.recorder is not None and run.recorder.failed and not reported:
                 reported = True
-                self._hub.post(self.name, {"t": "said", "text": recorder.failed})
-        if self._running is not None and self._engine is engine:
+                self._hub.post(self.name, {"t": "said", "text": run.recorder.failed})
+        if self._running is not None and self._run is run:
             await self.stop("All videos are over.")
 
-    async def _end(self, engine: LiveEngine) -> None:
-        """Stop the engine; note why it failed."""
-        await run_in_threadpool(engine.stop)
-        if engine.failed is not None:
-            self._words.append(f"It ended: {str(engine.failed).rstrip('.')}.")
-
-    async def _recorded(self, recorder: LiveRecorder) -> None:
-        """Complete a recording; note what it holds."""
+    async def _end(self, run: TrackingRun, record: str | None) -> None:
+        """Stop a run; note why it failed, and what was recorded."""
+        said = ""
         try:
-            kept = await run_in_threadpool(recorder.close)
+            said = await run_in_threadpool(run.close, record)
         except InputError as error:
-            self._words.append(str(error))
-            return
-        without = f", without {recorder.left_out} instants" if recorder.left_out else ""
-        nothing = "Nothing was recorded: no instant was seen after the empty room was known."
-        self._words.append(f"Recorded as {_reported(recorder.folder)}{without}." if kept else nothing)
+            said = str(error)
+        if run.engine.failed is not None:
+            self._words.append(f"It ended: {str(run.engine.failed).rstrip('.')}.")
+        self._words += [said] * bool(said)
 
 
 def _sources(value: Any) -> dict[str, str]:

@@ -25,14 +25,20 @@ from starlette.staticfiles import StaticFiles
 from hypose import __version__
 from hypose.app.live.servers import listen_error, quiet_logs, token_for
 from hypose.app.reports.calibration_pages import printed_board
-from hypose.app.reports.summary import DESCRIPTIONS, OPENSIM_FILES
+from hypose.app.reports.report_parts import DESCRIPTIONS, OPENSIM_FILES
 from hypose.app.studio import clicks
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
-from hypose.app.studio.folders import first_picture, list_folder, make_recording
-from hypose.app.studio.gesture_session import GestureTopic
-from hypose.app.studio.gesture_views import gesture_thumbnail, models_shown, sessions_shown, sources_shown
+from hypose.app.studio.gesture_session import (
+    GestureTopic,
+    gesture_thumbnail,
+    models_shown,
+    sessions_shown,
+    sources_shown,
+)
 from hypose.app.studio.http import (
+    MAX_MESSAGE,
     Guard,
+    Hub,
     NotNow,
     block_answer,
     digits,
@@ -42,11 +48,17 @@ from hypose.app.studio.http import (
     route,
     text,
 )
-from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import forms, fused_in
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
-from hypose.app.studio.recordings import Recordings, edit_recording, tick_findings
+from hypose.app.studio.recordings import (
+    Recordings,
+    edit_recording,
+    first_picture,
+    list_folder,
+    make_recording,
+    tick_findings,
+)
 from hypose.app.studio.results import Results
 from hypose.body.default_body import human
 from hypose.errors import HyposeError, InputError

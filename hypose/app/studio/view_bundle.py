@@ -12,7 +12,6 @@ import contextlib
 import json
 import math
 import struct
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -23,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import __version__
-from hypose.app.reports.summary import DESCRIPTIONS, subject_rows, summarize
+from hypose.app.reports.report_parts import DESCRIPTIONS, subject_rows, summarize
 from hypose.app.studio.catalog import recording_above
 from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import MOTION_FORMATS
@@ -96,9 +94,8 @@ class ViewResult:
 
     title: title of the page.
     motion: the motion.
-    body, rig: None where not known, e.g. for a fused skeleton.
-    image_shifts: (x, y) px per camera, as in recording.toml.
-    pictures: names of the cameras that have pictures.
+    body: None where not known, e.g. for a fused skeleton.
+    recording: recording of the motion, with its cameras; None where not known.
     first_frame: frame of the recording in row 0.
     files: (name, meaning, bytes).
     notes: sentences for the user.
@@ -108,15 +105,12 @@ class ViewResult:
     complete: every frame was tracked.
     rivals: other poses, where the method keeps any.
     assessment: assessment of the result; None where there is none.
-    date: day on which the first recorded file was last written, YYYY-MM-DD; "" where not known.
     """
 
     title: str
     motion: Motion
     body: Body | None = None
-    rig: CameraRig | None = None
-    image_shifts: Sequence[tuple[float, float]] = ()
-    pictures: Sequence[str] = ()
+    recording: Recording | None = None
     first_frame: int = 0
     files: Sequence[tuple[str, str, int]] = ()
     notes: Sequence[str] = ()
@@ -126,12 +120,6 @@ class ViewResult:
     complete: bool = True
     rivals: Rivals | None = None
     assessment: Assessment | None = None
-    date: str = ""
-
-
-def pictured(recording: Recording) -> list[str]:
-    """Return the names of the cameras that have pictures, or masks in their place."""
-    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.source or v.masks]
 
 
 def view_bundle(result: ViewResult) -> bytearray:
@@ -161,11 +149,13 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     m = result.motion
     # first the arrays whose computation needs most memory
     turns = {} if m.poses is None else _turns(m.skeleton, m.poses)
+    low = np.zeros(len(m), dtype=bool) if m.low_confidence is None else m.low_confidence
+    cases = [m.lost.astype(bool), m.extrapolated.astype(bool), low]  # of several the first counts
     out = turns | {
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
         "joint_covariance": _upper(m.joint_covariance),
-        "flags": _flags(m),
+        "flags": np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1"),
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
@@ -185,9 +175,8 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
-        if result.truth.joints is not None:
-            out["truth_joints"] = result.truth.joints.astype("<f4")
-        out["truth_distances"] = result.truth.distances.astype("<f4")
+        truth = {"truth_joints": result.truth.joints, "truth_distances": result.truth.distances}
+        out |= {name: values.astype("<f4") for name, values in truth.items() if values is not None}
     return out
 
 
@@ -236,13 +225,6 @@ def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np
     for n, (name, value) in enumerate(zip(names, values, strict=True)):
         out[n] = value if is_length(name) else np.degrees(value)
     return out
-
-
-def _flags(motion: Motion) -> np.ndarray:
-    """Compute one flag (T,) per frame, the most serious one; 0 = none."""
-    low_confidence = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence
-    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), low_confidence]
-    return np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
@@ -299,10 +281,8 @@ def _header(result: ViewResult) -> dict[str, Any]:
 
 def _cameras(result: ViewResult) -> list[dict[str, Any]]:
     """Describe the cameras for the header; empty where they are not known."""
-    rig = result.rig
-    if rig is None:
+    if result.recording is None:
         return []
-    shifts = result.image_shifts or [(0.0, 0.0)] * len(rig)
     return [
         {
             "name": c.name,
@@ -311,10 +291,10 @@ def _cameras(result: ViewResult) -> list[dict[str, Any]]:
             "fisheye": c.fisheye,
             "camera_from_world": c.camera_from_world,
             "size": list(c.size),
-            "image_shift": list(shift),
-            "pictures": c.name in result.pictures,
+            "image_shift": list(v.image_shift),
+            "pictures": v.has_pictures,
         }
-        for c, shift in zip(rig, shifts, strict=True)
+        for v, c in zip(result.recording.views, result.recording.rig, strict=True)
     ]
 
 
@@ -388,11 +368,11 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         known = recording.folder / "truth.npz"
         if known.is_file() and motion.poses is not None:
             truth = part("The truth is not shown", lambda: compare_with_truth(known, motion, first))
-    return in_recording(
-        recording,
+    return ViewResult(
+        recording.name if recording is not None else folder.path.resolve().name,
         motion,
         body,
-        title=recording.name if recording is not None else folder.path.resolve().name,
+        recording,
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
@@ -402,18 +382,6 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
         assessment=_assessment(folder.path, motion),
     )
-
-
-def in_recording(recording: Recording | None, motion: Motion, body: Body | None, **more: Any) -> ViewResult:
-    """Make a result from a motion and the cameras of its recording; more: other fields of ViewResult."""
-    if recording is None:
-        return ViewResult(motion=motion, body=body, **more)
-    shifts = [v.image_shift for v in recording.views]
-    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording), "date": ""}
-    files = [v.source or v.masks or v.depth or v.keypoints for v in recording.views]
-    with contextlib.suppress(OSError, StopIteration):
-        cameras["date"] = time.strftime("%Y-%m-%d", time.localtime(next(filter(None, files)).stat().st_mtime))
-    return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
 
 
 def first_frame(motion: Motion) -> int:

@@ -159,7 +159,8 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
         out = {}
         for name, files in by_frame.items():
             if frame in files:
-                mask = as_mask(_stored(files[frame]), str(files[frame]))
+                image, _ = _decoded(files[frame])
+                mask = as_mask(read_image(files[frame]) if image is None else image, str(files[frame]))
                 if mask.shape != shape[:2]:
                     raise InputError(f"{files[frame]} has another size than the other masks of {path}.")
                 if mask.any():
@@ -209,19 +210,10 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
 def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
     """Read the values (h, w) of a grey image or the indices of a palette image (True); None for a colour image."""
     image, indexed = _decoded(path)
-    if image is None:
-        return None, False
-    if image.ndim == 3:
-        if image.shape[2] == 4 or (image != image[..., :1]).any():
-            return None, False
-        image = image[..., 0]
-    return (image, indexed) if np.issubdtype(image.dtype, np.integer) else (None, False)
-
-
-def _stored(path: Path) -> NDArray[Any]:
-    """Read an image without conversion: the indices of a palette, 16 bits."""
-    image, _ = _decoded(path)
-    return read_image(path) if image is None else image
+    if image is not None and image.ndim == 3:
+        grey = image.shape[2] < 4 and (image == image[..., :1]).all()
+        image = image[..., 0] if grey else None
+    return (image, indexed) if image is not None and np.issubdtype(image.dtype, np.integer) else (None, False)
 
 
 def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:

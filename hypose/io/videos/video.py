@@ -112,7 +112,7 @@ def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
         return cv2.imdecode(data, cv2.IMREAD_COLOR)
     depth = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if depth is None or depth.ndim != 2:
+    if np.ndim(depth) != 2:
         return None
     shade = np.where(depth > 0, np.clip(255 - depth.astype(np.float32) * (200 / 6000), 40, 255), 0)
     return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
@@ -173,6 +173,8 @@ class VideoReader:
     frame_rate: frames/s; None for images.
     n_frames: number of frames that can be decoded.
     stated_frames: number of frames that the container states.
+    position: index of the frame that comes next.
+    is_sequence: whether the frames are image files.
     """
 
     def __init__(self, path: Path, threads: int | None = None, rate: float | None = None) -> None:
@@ -180,29 +182,15 @@ class VideoReader:
         self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
-        self._next, self._decoded = 0, 0
+        self.position, self._decoded = 0, 0
         self._memory: Image | None = None  # of the last frame
-        self.size: tuple[int, int] = frame_size(path)
-        self.frame_rate: float | None = None
-        if self._images is not None:
-            self.n_frames = self.stated_frames = len(self._images)
-        else:
-            about = _about(path)
-            self.frame_rate, self.stated_frames = about.frame_rate, about.stated_frames
-            self.n_frames = count_frames(path) if self._stored is None else len(self._stored)
-
-    @property
-    def is_sequence(self) -> bool:
-        """Whether the frames are image files."""
-        return self._images is not None
-
-    @property
-    def position(self) -> int:
-        """Index of the frame that comes next."""
-        return self._next
+        self.is_sequence = self._images is not None
+        self.size, self.frame_rate, self.stated_frames, self.n_frames = _about(path)
+        if self._stored is not None:
+            self.n_frames = len(self._stored)
 
     def __iter__(self) -> Iterator[Image]:
-        while self._next < self.n_frames:
+        while self.position < self.n_frames:
             yield self._advance()
 
     def seek(self, index: int) -> None:
@@ -215,12 +203,12 @@ class VideoReader:
                 f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
                 "range inside."
             )
-        self._next = index
+        self.position = index
         if self._images is None and index < self.n_frames:
             self._go_to(self._stored_number())
 
     def _stored_number(self) -> int:
-        return self._next if self._stored is None else int(self._stored[self._next])
+        return self.position if self._stored is None else int(self._stored[self.position])
 
     def _go_to(self, number: int) -> None:
         """Decode up to a stored frame, so that it is the next, or stay where it is the last decoded one and still in
@@ -244,9 +232,9 @@ class VideoReader:
         """
         if index is not None:
             self.seek(index)
-        if self._next >= self.n_frames:
+        if self.position >= self.n_frames:
             raise InputError(
-                f"{self.path} ends with frame {self.n_frames - 1}, frame {self._next} was asked for; choose "
+                f"{self.path} ends with frame {self.n_frames - 1}, frame {self.position} was asked for; choose "
                 "a frame range inside."
             )
         return self._advance(out)
@@ -269,10 +257,10 @@ class VideoReader:
 
     def _advance(self, out: Image | None = None) -> Image:
         if self._images is not None:
-            image = read_image(self._images[self._next])
+            image = read_image(self._images[self.position])
             if (image.shape[1], image.shape[0]) != self.size:
                 raise InputError(
-                    f"{self._images[self._next]} is {image.shape[1]} x {image.shape[0]} px, the first image "
+                    f"{self._images[self.position]} is {image.shape[1]} x {image.shape[0]} px, the first image "
                     f"of its folder is {self.size[0]} x {self.size[1]} px; give all images of a view one "
                     "size."
                 )
@@ -287,7 +275,7 @@ class VideoReader:
                 self._decoded += 1
             assert self._memory is not None
             image = self._memory if self._stored is None else self._memory.copy()
-        self._next += 1
+        self.position += 1
         return image
 
     def _broken(self) -> InputError:
@@ -324,17 +312,12 @@ def _images_of(path: Path) -> list[Path] | None:
 
 def frame_size(path: str | Path) -> tuple[int, int]:
     """Read the width and height of the first frame of a video, image folder or image, px."""
-    images = _images_of(Path(path))
-    if images is None:
-        return _about(Path(path)).size
-    image = read_image(images[0])
-    return image.shape[1], image.shape[0]
+    return _about(Path(path)).size
 
 
 def count_frames(path: str | Path) -> int:
     """Count the frames that can be decoded: the stated number if the last frame decodes, else one by one."""
-    images = _images_of(Path(path))
-    return _about(Path(path)).n_frames if images is None else len(images)
+    return _about(Path(path)).n_frames
 
 
 def frame_times(path: Path) -> Array | None:
@@ -381,7 +364,7 @@ def evenly_spread(first: int, stop: int, count: int) -> list[int]:
 
 
 class _About(NamedTuple):
-    """Properties of a video file; fields as in `VideoReader`."""
+    """Properties of a video, folder of images or image; fields as in `VideoReader`."""
 
     size: tuple[int, int]
     frame_rate: float | None
@@ -390,16 +373,16 @@ class _About(NamedTuple):
 
 
 def _about(path: Path) -> _About:
-    """Read the properties of a video file, cached until its size or time changes."""
-    try:
-        about = path.stat()
-    except OSError:
-        return _looked_into(path, 0, 0, 0)  # raises the error that names the cause
-    return _looked_into(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
+    """Read the properties of a video or of images; those of a video are cached until its size or time changes."""
+    if images := _images_of(path):
+        height, width = read_image(images[0]).shape[:2]
+        return _About((width, height), None, len(images), len(images))
+    about = path.stat() if path.is_file() else None  # the error of a missing file is raised where it is opened
+    return _looked_into(path.absolute(), about and (about.st_size, about.st_mtime_ns, about.st_ino))
 
 
 @lru_cache(maxsize=256)
-def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
+def _looked_into(path: Path, state: tuple[int, ...] | None) -> _About:
     with _capturing(path, 1) as capture:
         rate = float(capture.get(cv2.CAP_PROP_FPS))
         stated = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))

@@ -7,26 +7,25 @@ exposure, a chair that was moved. Where the person is, nothing is learned.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.detector import PoseDetector
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed, view_outline
 from hypose.evidence.pose_network import Crop, mask_of_people
 from hypose.evidence.silhouettes import (
     Segmenter,
     SilhouetteSettings,
     bounding_box,
-    make_segmenter,
 )
 from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
@@ -81,7 +80,7 @@ class ViewBackground:
         """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
-        return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
+        return packed_masks.draw(runs), outline_of_packed(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
@@ -103,7 +102,7 @@ class ViewBackground:
         if self.background is None or not np.isfinite(passed):
             return
         assert self._segment is not None
-        found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
+        found, picture = packed_masks.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
         sparse, before = np.s_[:: SETTINGS.scene_sparse, :: SETTINGS.scene_sparse], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)
@@ -116,7 +115,7 @@ class ViewBackground:
 
     def _take(self, background: BackgroundModel) -> None:
         self.background = background
-        self._segment = make_segmenter(background, self._options)
+        self._segment = Segmenter(background, self._options)
 
 
 def _around(mask: Mask) -> Mask:
@@ -211,40 +210,6 @@ class DepthViewBackground:
         self.seen = np.minimum(own * 1000 + 0.5, 65535).astype(np.uint16)
         mask = person_before(own, self.background, self._focal_px)
         return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
-
-
-@dataclass(frozen=True)
-class PackedDepth:
-    """Depth of the person at one instant, cut out to save memory.
-
-    millimetres: (C, h, w) depth, mm, in one box of all maps; 0 outside the person.
-    corner: (row, column) position of the box's first pixel in the maps.
-    usable: (C,) views with depth.
-    """
-
-    millimetres: Millimetres
-    corner: tuple[int, int]
-    usable: NDArray[np.bool_]
-
-    @staticmethod
-    def of(depth: Depth) -> PackedDepth:
-        """Cut the person out of a frame's depth."""
-        someone = np.asarray(depth.person.any(0))
-        rows, columns = np.flatnonzero(someone.any(1)), np.flatnonzero(someone.any(0))
-        if not len(rows):
-            return PackedDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
-        y, x = int(rows[0]), int(columns[0])
-        box = np.s_[:, y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
-        kept = np.where(depth.person[box] > 0, depth.maps[box] * 1000 + 0.5, 0).astype(np.uint16)
-        return PackedDepth(kept, (y, x), depth.usable)
-
-    def depth(self, silhouettes: Silhouettes) -> Depth:
-        """Restore the depth, given the masks of the same instant."""
-        maps = np.zeros(silhouettes.masks.shape, np.float32)
-        (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
-        maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)
-        person = silhouettes.masks * self.usable.astype(np.uint8)[:, None, None]
-        return Depth(maps, person, silhouettes.rig, self.usable)
 
 
 def depth_of(silhouettes: Silhouettes, maps: Sequence[Millimetres | None]) -> Depth | None:

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import threading
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -16,97 +18,74 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
-from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.frame import Expected, Frame, Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.live.background_models import PackedDepth
 from hypose.pipeline.live.processes import belong_to_parent, start_process
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, estimate_subject
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class PackedMasks:
-    """Masks of one instant, eight pixels per byte, to save memory.
+class KeptFrame:
+    """Masks of one instant, and the depth of the person in them, compressed to save memory.
 
     time: s.
-    bits: packed masks of C views.
-    usable, reasons: (C,) whether each view is usable, and a short text why not ("" where it is).
-    ignored, expected: packed pixels that other people cover, and the person's expected place, as in `Silhouettes`.
-    depth: depth of the person; empty without depth cameras.
+    shared: other people cover a part of the masks.
+    data: compressed frame.
     """
 
     time: float
-    bits: NDArray[np.uint8]
-    usable: NDArray[np.bool_]
-    reasons: tuple[str, ...]
-    ignored: NDArray[np.uint8] | None = None
-    expected: Expected | None = None
-    depth: tuple[PackedDepth, ...] = ()
+    shared: bool
+    data: bytes
 
     @staticmethod
-    def of(frame: Frame) -> PackedMasks:
-        """Pack the masks of a frame, which must have some."""
-        s = frame.the(Silhouettes)
-        ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        depth = tuple(PackedDepth.of(maps) for maps in frame.of(Depth))
-        return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
+    def of(frame: Frame) -> KeptFrame:
+        """Compress a frame, which must have masks."""
+        masks = frame.the(Silhouettes)
+        kept = Frame(frame.time, frame.index, replace(masks))  # a copy is without computed results
+        for depth in frame.of(Depth):
+            own = np.where(depth.person > 0, depth.maps, np.float32(0))
+            kept = replace(kept, depth=replace(depth, maps=own))
+        return KeptFrame(frame.time, masks.ignored is not None, zlib.compress(pickle.dumps(kept), 1))
 
-    def frame(self, number: int, rig: CameraRig) -> Frame:
-        """Unpack the masks, and the depth if there is any, into a frame; other evidence is not restored.
-
-        number: frame number (index) of the new frame.
-        rig: cameras of the masks.
-        """
-        silhouettes = self.silhouettes(rig)
-        frame = Frame(self.time, number, silhouettes)
-        for packed in self.depth:
-            frame = replace(frame, depth=packed.depth(silhouettes))
-        return frame
-
-    def silhouettes(self, rig: CameraRig) -> Silhouettes:
-        """Unpack the masks."""
-        width = int(rig.sizes[:, 0].max())
-        masks = np.unpackbits(self.bits, axis=-1, count=width)
-        ignored = None if self.ignored is None else np.unpackbits(self.ignored, axis=-1, count=width)
-        return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
+    def frame(self) -> Frame:
+        """Restore the frame; depth outside the person is 0."""
+        return pickle.loads(zlib.decompress(self.data))  # noqa: S301 (made by this program)
 
 
-def fitted_body(
-    kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
-) -> Body | None:
+def fitted_body(kept: Sequence[KeptFrame], rate: float, height: float | None, seed: int) -> Body | None:
     """Fit a body to the person in the masks.
 
-    kept: consecutive masks.
-    rate: rate of the masks, Hz.
+    kept: consecutive frames.
+    rate: their rate, Hz.
     height: m, where known.
     seed: seed of random numbers.
     Returns: the body; None where the masks do not determine one.
     """
-    frames = [k.frame(i, rig) for i, k in enumerate(kept)]
+    frames = [replace(k.frame(), index=i) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
     with contextlib.suppress(EvidenceError):
         return estimate_subject(lambda i: frames[i], len(frames), rate, human(), options).body
     return None
 
 
-def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Array | None:
+def offsets_of(kept: Sequence[KeptFrame], rate: float) -> Array | None:
     """Estimate how late each camera's pictures come, from the masks of a moving person.
 
-    kept: consecutive masks.
-    rate: rate of the masks, Hz.
+    kept: consecutive frames.
+    rate: their rate, Hz.
     Returns: (C,) s; None where the masks do not determine it, or no camera is late.
     """
-    tracks = mask_tracks([k.silhouettes(rig) for k in kept])
+    masks = [k.frame().the(Silhouettes) for k in kept]
+    tracks, rig = mask_tracks(masks), masks[0].rig
     try:
         found = solve_offsets(
             silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate, SETTINGS.background_scale_px),
@@ -136,21 +115,19 @@ class BackgroundWork:
         self._process: BaseProcess | None = None
         self._closed, self._changing = False, threading.Lock()
 
-    def body(
-        self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
-    ) -> Future[Body | None]:
+    def body(self, kept: Sequence[KeptFrame], rate: float, height: float | None, seed: int) -> Future[Body | None]:
         """Start to fit a body to the person in the masks; arguments and result are those of `fitted_body`.
 
         Returns: future of the body, or of None.
         """
-        return self._thread.submit(self._elsewhere, fitted_body, list(kept), rig, rate, height, seed)
+        return self._thread.submit(self._elsewhere, fitted_body, list(kept), rate, height, seed)
 
-    def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
+    def offsets(self, kept: Sequence[KeptFrame], rate: float) -> Future[Array | None]:
         """Start to estimate how late each camera's pictures come; arguments and result are those of `offsets_of`.
 
         Returns: future of the offsets (C,), s, or of None.
         """
-        return self._thread.submit(self._elsewhere, offsets_of, list(kept), rig, rate)
+        return self._thread.submit(self._elsewhere, offsets_of, list(kept), rate)
 
     def close(self) -> None:
         """End the process at once, also in the middle of a fit."""

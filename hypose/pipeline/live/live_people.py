@@ -26,23 +26,21 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.shared_masks import Other
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.people import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import looked_at, mask_change
-from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
-from hypose.pipeline.person_paths import follow_places
+from hypose.pipeline.live.background_work import BackgroundWork, KeptFrame
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import tracker_of
-from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles
+from hypose.pipeline.subject import TrackedSubject
+from hypose.pipeline.track_loop import Member, TrackedPerson, TrackingSession, step_together, tracker_of
+from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles, explained_by, follow_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import SETTLING, refine
-from hypose.tracking.several import BLIND, Member, shape_of, step_together
 from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
 
@@ -279,24 +277,9 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
-@dataclass(frozen=True)
-class _Now:
-    """Last tracked frame of a person.
-
-    whole: frame with all people in it.
-    frame: evidence of this person only.
-    tracker: by which it was tracked.
-    """
-
-    whole: Frame
-    frame: Frame
-    tracker: Tracker
-    estimate: FrameEstimate
-
-
-class LiveTrack:
-    """Live track of one person. For each frame call `prepare`, track from the state `state_at`, and call `take` with
-    the result; then `pose` gives the pose, and `judge` updates its error probabilities.
+class LiveTrack(TrackedPerson):
+    """Live track of one person, for the session of `LivePeople`. For each frame call `prepare`, let the session track
+    it, and call `look`; then `pose` gives the pose, and `judge` updates its error probabilities.
 
     found: body and state that the search found.
     number: number of the person, from 1.
@@ -311,6 +294,7 @@ class LiveTrack:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
     given_up: the person has been lost for too long.
+    estimates: of the last SETTINGS.people_together_s seconds.
     """
 
     def __init__(
@@ -325,10 +309,11 @@ class LiveTrack:
         sync: bool = True,
         shared: bool = False,
     ) -> None:
+        subject = TrackedSubject(found.body, None, found.state.pose, ())
+        super().__init__(str(number), subject, Member(options.tracker(found.body, rate), found.state))
         self.number, self.rig, self.rate, self.options = number, rig, rate, options
         self.body: Body | None = options.body
         self.offsets: Array | None = None
-        self.tracker, self.state = options.tracker(found.body, rate), found.state
         self._executor, self._work, self._sync_wanted = executor, work, sync
         self._errors = LiveErrorModel()
         self._time, self._step_s, self._usual_s = found.time, found.step_s, 1 / rate
@@ -336,40 +321,58 @@ class LiveTrack:
         self._duel: _Duel | None = None
         self._fit: Future[Body | None] | None = None
         self._sync: Future[Array | None] | None = None
-        self._kept: list[PackedMasks] = []
+        self._kept: list[KeptFrame] = []
         self._shared = shared
         self._challenge, self._between = (found.time if shared else np.inf), SETTINGS.live_challenge_s
         self._shift: Array | None = None
-        self._now: _Now | None = None
-        self._recent = deque[tuple[float, FrameEstimate]]()
+        self._whole: Frame | None = None
+        self._frame: Frame | None = None
+        self._times = deque[float]()
         self.given_up = False
 
     @property
-    def sure(self) -> bool:
-        """Whether the person's place is known."""
-        return not self.state.lost and self.state.blind <= BLIND
+    def tracker(self) -> Tracker:
+        """The tracker, which changes with the body and the rate of the frames."""
+        return self.member.tracker
 
-    def state_at(self, time: float) -> TrackerState:
-        """Return the tracker's state with its velocities scaled for a frame at a time, s."""
-        passed = time - self._time
+    @property
+    def state(self) -> TrackerState:
+        """State of the tracker after the last frame; after `prepare` with velocities for the next one."""
+        return self.member.state
+
+    def prepare(self, frame: Frame) -> None:
+        """Prepare the track for the next frame, which shows all people: take over results of parallel work, and adapt
+        tracker and velocities to the time since the last frame.
+        """
+        self._use_fitted_body()
+        if self._duel is not None and self._duel.won.done():
+            won, self._duel = self._duel.won.result(), None
+            if won is not None:
+                state, self._time = won
+                self.member = replace(self.member, state=state)
+        passed = frame.time - self._time
+        self._keep_pace(min(passed, SETTINGS.search_gap_s))
         share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
-        return paced(self.state, share, self.tracker.body.skeleton)
+        self.member = replace(self.member, state=paced(self.state, share, self.tracker.body.skeleton))
 
-    def take(self, whole: Frame, frame: Frame, state: TrackerState, estimate: FrameEstimate) -> None:
-        """Receive the result of tracking a frame, and begin or continue parallel work: comparing sides, fitting body
-        and camera offsets.
+    def take(self, estimate: FrameEstimate, member: Member) -> None:
+        """Add a tracked frame."""
+        self.member = member
+        self.estimates.append(estimate)
+
+    def look(self, whole: Frame, frame: Frame) -> None:
+        """Begin or continue parallel work after a frame was tracked: comparing sides, fitting body and camera offsets.
 
         whole: frame with all people.
         frame: frame with the evidence of this person.
-        state: state of the tracker after it.
-        estimate: estimated pose in the frame, with its uncertainty.
         """
-        passed = frame.time - self._time
-        self._now, self.state = _Now(whole, frame, self.tracker, estimate), state
+        passed, estimate = frame.time - self._time, self.estimates[-1]
+        self._whole, self._frame = whole, frame
         self._time, self._step_s = frame.time, max(passed, 1e-3)
-        self._recent.append((frame.time, estimate))
-        while len(self._recent) > 1 and self._recent[1][0] <= frame.time - SETTINGS.people_together_s:
-            self._recent.popleft()
+        self._times.append(frame.time)
+        while len(self._times) > 1 and self._times[1] <= frame.time - SETTINGS.people_together_s:
+            self._times.popleft()
+        del self.estimates[: -len(self._times)]
         if self._shift is not None:
             shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
             self._shift = shift if np.abs(shift).max() > 1e-4 else None
@@ -386,40 +389,23 @@ class LiveTrack:
         """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
         shorter time.
         """
-        long = self._recent and self._time - self._recent[0][0] >= SETTINGS.people_together_s
-        return [e for _, e in self._recent] if long else []
-
-    @property
-    def estimate(self) -> FrameEstimate:
-        """Estimate of the last frame; only after `take`."""
-        assert self._now is not None
-        return self._now.estimate
+        long = self._times and self._time - self._times[0] >= SETTINGS.people_together_s
+        return self.estimates if long else []
 
     def pose(self) -> LivePose:
-        """Return the pose of the last frame with the newest error probabilities; only after `take`."""
-        assert self._now is not None
-        now, tracker = self._now.frame, self._now.tracker
-        motion = self._errors.reported(tracker, self._now.estimate, now)
+        """Return the pose of the last frame with the newest error probabilities; only after `look`."""
+        frame, tracker = self._frame, self.tracker
+        assert frame is not None
+        motion = self._errors.reported(tracker, self.estimates[-1], frame)
         joints = np.asarray(motion.joints[0], np.float64)
         if self._shift is not None:
             joints = joints + self._shift
-        return LivePose(self.number, now.index, now.time, motion, tracker.body, joints, now.usable_views)
+        return LivePose(self.number, frame.index, frame.time, motion, tracker.body, joints, frame.usable_views)
 
     def judge(self) -> None:
         """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""
-        if self._now is not None:
-            self._errors.look(self._now.tracker, self._now.estimate, self._now.frame, self._now.whole)
-
-    def prepare(self, frame: Frame) -> None:
-        """Prepare the track for the next frame, which shows all people: take over results of parallel work, and adapt
-        the tracker to the frame rate.
-        """
-        self._use_fitted_body()
-        if self._duel is not None and self._duel.won.done():
-            won, self._duel = self._duel.won.result(), None
-            if won is not None:
-                self.state, self._time = won
-        self._keep_pace(min(frame.time - self._time, SETTINGS.search_gap_s))
+        if self._frame is not None:
+            self._errors.look(self.tracker, self.estimates[-1], self._frame, self._whole)
 
     def _compare_sides(self, frame: Frame, estimate: FrameEstimate) -> None:
         """Start or continue a duel: where the body with exchanged sides explains a frame better, it is tracked in
@@ -472,7 +458,7 @@ class LiveTrack:
         rate = self.tracker.settings.frame_rate
         if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
             pace = float(np.clip(1 / self._usual_s, SETTINGS.search_slowly_hz, self.rate))
-            self.tracker = self.options.tracker(self.tracker.body, pace)
+            self.member = replace(self.member, tracker=self.options.tracker(self.tracker.body, pace))
 
     def _measure(self, frame: Frame) -> None:
         """Keep masks, and start the fits of body and camera offsets when there are enough."""
@@ -485,16 +471,16 @@ class LiveTrack:
         if not wants_body and not wants_sync:
             self._kept = []
             return
-        self._kept.append(PackedMasks.of(frame))
+        self._kept.append(KeptFrame.of(frame))
         passed = frame.time - self._kept[0].time
         rate = (len(self._kept) - 1) / max(passed, 1e-3)
         if wants_body and passed > SETTINGS.live_fitted_s:
             step = max(1, round(rate / SETTINGS.search_slowly_hz))
             some = self._kept[-round(SETTINGS.live_fitted_s * rate) :: step]
-            self._fit = self._work.body(some, self.rig, rate / step, self.options.height, self.options.track.seed)
+            self._fit = self._work.body(some, rate / step, self.options.height, self.options.track.seed)
         if passed > SETTINGS.live_sync_s:
-            if wants_sync and not any(k.ignored is not None for k in self._kept):
-                self._sync = self._work.offsets(self._kept, self.rig, rate)
+            if wants_sync and not any(k.shared for k in self._kept):
+                self._sync = self._work.offsets(self._kept, rate)
             self._kept = []
 
     def measure_again(self) -> None:
@@ -504,12 +490,12 @@ class LiveTrack:
 
     def _use_fitted_body(self) -> None:
         """Use the fitted body where it explains the last frame as well as the body before."""
-        if self._fit is None or not self._fit.done() or self._now is None:
+        frame, old = self._frame, self.tracker.body
+        if self._fit is None or not self._fit.done() or frame is None:
             return
         body, self._fit = self._fit.result(), None
         if body is None or self.state.lost:
             return  # it is fitted again from later frames
-        frame, old = self._now.frame, self.tracker.body
         before = refine(old, self.state.pose[None], prepare(frame, old, self.state.pose), SETTLING)[0].pose
         moved = on_body(before, old, body)
         prepared = prepare(frame, body, moved)
@@ -519,7 +505,7 @@ class LiveTrack:
         tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
         state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
-        self.body, self.tracker, self.state, self._errors, self._duel = body, tracker, state, LiveErrorModel(), None
+        self.body, self.member, self._errors, self._duel = body, Member(tracker, state), LiveErrorModel(), None
 
 
 def on_body(pose: Array, before: Body, body: Body) -> Array:
@@ -542,7 +528,7 @@ class LiveErrorModel:
         self._looked = -np.inf
         self._beyond = 0.0
         self._p: NDArray[np.float32] | None = None
-        self._doubtful: NDArray[np.bool_] | None = None
+        self._low_confidence: NDArray[np.bool_] | None = None
 
     def reported(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
         """Return the estimate as a motion of one frame with error probabilities.
@@ -551,13 +537,13 @@ class LiveErrorModel:
         """
         now = motion_of(tracker.body, np.array([frame.time]), [estimate])
         count = now.joints.shape[:2]
-        p, low_confidence = self._p, self._doubtful
+        p, low_confidence = self._p, self._low_confidence
         if p is None or low_confidence is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
             low_confidence = np.ones(count, np.bool_)
         now = with_fitted_joints(now, frame.kind, self._beyond)
         now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
-        return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
+        return now if frame.kind == "depth" else as_mixture(now)  # regions from depth include other places
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
         """Compute features of the frame, if that is due, and error probabilities from those of the last seconds.
@@ -579,7 +565,7 @@ class LiveErrorModel:
             audits = np.stack([e.audit for _, e in known])
             p, joints = judged(window, window.joints, audits, known=frame.kind)
             self._beyond = beyond_usual(audits, frame.kind)
-            self._p, self._doubtful = p[-1:], joints[-1:]
+            self._p, self._low_confidence = p[-1:], joints[-1:]
 
 
 class LivePeople:
@@ -606,10 +592,20 @@ class LivePeople:
     ) -> None:
         self._rig, self._rate, self._options, self._executor, self._work = rig, rate, options, executor, work
         self.most = most
-        self.people: list[LiveTrack] = []
+        self._session = TrackingSession([], rate, self)
         self.offsets: Array | None = None
         self._known: Body | None = options.body
         self._search = LiveSearch(options, executor, most > 1)
+
+    @property
+    def people(self) -> list[LiveTrack]:
+        """Tracks of the people, in the order of their numbers."""
+        return [p for p in self._session.people if isinstance(p, LiveTrack)]
+
+    @property
+    def alone(self) -> bool:
+        """Whether all of the masks are evidence for one person."""
+        return self.most == 1
 
     @property
     def phase(self) -> str:
@@ -637,20 +633,30 @@ class LivePeople:
             self._add(found)
         for p in self.people:
             p.prepare(frame)
-        members = [Member(p.tracker, p.state_at(frame.time)) for p in self.people]
-        members, estimates, seen = step_together(members, frame, alone=self.most == 1)
-        for p, member, estimate, own in zip(self.people, members, estimates, seen, strict=True):
-            p.take(frame, own, member.state, estimate)
+        self._session.step(frame)
+        return self.people
+
+    def keypoints(self, people: Sequence[TrackedPerson], t: int, /) -> Sequence[Keypoints | None]:
+        """Return no key points: live people are tracked by masks or depth."""
+        return ()
+
+    def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame], /) -> None:
+        """Look after the people when a frame has been tracked: give up who was lost or found twice, and search others.
+
+        seen: the frame as each person's tracker saw it.
+        """
+        people = self.people
+        for p, own in zip(people, seen, strict=True):
+            p.look(frame, own)
             if self.offsets is None and p.offsets is not None:
                 self.offsets = p.offsets
-            if p.given_up and self.most == 1:
+            if p.given_up and self.alone:
                 self._known = p.body  # the next person counts as the same one
-        self.people = [p for p in self.people if not p.given_up]
-        worse = doubles([p.recent for p in self.people])
-        self.people = [p for k, p in enumerate(self.people) if k not in worse]
-        if len(self.people) < self.most:
+        people = [p for p in people if not p.given_up]
+        worse = doubles([p.recent for p in people])
+        session.people = [p for k, p in enumerate(people) if k not in worse]
+        if len(session.people) < self.most:
             self._look(frame)
-        return self.people
 
     def _add(self, found: FoundPerson) -> None:
         numbers = {p.number for p in self.people}
@@ -659,14 +665,14 @@ class LivePeople:
         options = replace(self._options, body=body, height=None if self.people else self._options.height)
         wants = self.offsets is None
         made = LiveTrack(
-            found, number, self._rig, self._rate, options, self._executor, self._work, wants, self.most > 1
+            found, number, self._rig, self._rate, options, self._executor, self._work, wants, not self.alone
         )
-        self.people = sorted([*self.people, made], key=lambda p: p.number)
+        by_number = sorted((*self.people, made), key=lambda p: p.number)
+        self._session.people = [*by_number]
 
     def _look(self, frame: Frame) -> None:
         """Search another person in what the tracked people leave of the masks."""
-        known = [p for p in self.people if p.sure]
-        others = [Other(shape_of(p.tracker.body, p.estimate.pose, s.rig)) for s in frame.of(Silhouettes) for p in known]
+        others = [other for s in frame.of(Silhouettes) for other in explained_by(self.people, s)]
         body, height = (None, None) if self.people else (self._known, self._options.height)
         if body is not None:
             height = body.stature

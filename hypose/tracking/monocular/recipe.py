@@ -162,14 +162,6 @@ def information(covariances: ArrayLike, active: NDArray[np.int64], settings: Who
     return out
 
 
-TRIGGS = (
-    "Sminchisescu & Triggs 2001, A robust multiple hypothesis approach to monocular human motion tracking, with a "
-    "constant-velocity prediction, calibrated regions and mirrored limbs at the start."
-)
-PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
-"""Cues used in addition to edges and flow: all there is, nothing, masks, key points, or both."""
-
-
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
     """Build the recipe (tracking method) for the pictures of one camera.
 
@@ -209,7 +201,6 @@ def picture_recipe(search: PictureSearch) -> Recipe:
         uncertainty=search.uncertainty,
         lost=search.lost,
         smooth=partial(solve_clip, active=active),
-        citation=TRIGGS,
     )
 
 

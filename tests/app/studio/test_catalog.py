@@ -4,7 +4,7 @@ from typing import get_args
 import pytest
 
 from hypose.app.studio.catalog import Catalog, Kind, NotFound
-from hypose.app.studio.gesture_views import models_shown, sessions_shown
+from hypose.app.studio.gesture_session import models_shown, sessions_shown
 
 
 def make(root):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.app.studio.gesture_training import Controls, Judge
+from hypose.app.studio.gesture_session import Controls, Judge
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Localisation

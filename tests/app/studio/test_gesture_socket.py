@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.studio.hub import IN_FLIGHT
+from hypose.app.studio.http import IN_FLIGHT
 from hypose.pipeline.gesture_files import load_model, read_recording
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S

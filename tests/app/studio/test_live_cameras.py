@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hypose.app.live import pose_outputs
 from hypose.app.studio import live_topics
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
@@ -48,7 +49,7 @@ def served_live(tmp_path_factory):
 def followed(monkeypatch, stage):
     """What the studio starts looks at the stage, never faster than in truth."""
     monkeypatch.setattr(stage, "clock", Clock())
-    in_step(monkeypatch, stage, [live_topics], 0.5 / RATE)
+    in_step(monkeypatch, stage, [live_topics, pose_outputs], 0.5 / RATE)
 
 
 def walk_of(client):
@@ -100,7 +101,7 @@ def test_what_cannot_be_started_is_said(served_live, more, why):
 class Engine:
     """Shows two instants with nobody in them. failing: then it fails; else it runs, and takes a while to stop."""
 
-    def __init__(self, rig, views, options, listeners, failing):
+    def __init__(self, rig, views, options, listeners, stop, failing):
         self.listeners, self.failed, self._failing = listeners, None, failing
         self.ended, self._shapes = threading.Event(), [c.size for c in working_rig(rig)]
 
@@ -125,7 +126,7 @@ class Engine:
 @pytest.mark.parametrize("failing", [True, False])
 def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, failing):
     """The cameras' process, or a page that says stop and is closed at once."""
-    monkeypatch.setattr(live_topics, "LiveEngine", lambda *given: Engine(*given, failing))
+    monkeypatch.setattr(pose_outputs, "LiveEngine", lambda *given: Engine(*given, failing))
     host = served_live.studio.cameras
     with served_live.socket("/ws/cameras") as ws:
         ws.send(json.dumps({"t": "start", "recording": walk_of(served_live), "record": True}))

@@ -8,7 +8,7 @@ import pytest
 
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_pictures import OpenRecording
+from hypose.app.studio.results import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
@@ -184,13 +184,13 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     assert json.loads((folder / "walk" / "starts" / "arm-2.json").read_text())["until"] == 6
 
 
-def test_open_recordings_are_bounded_in_bytes(folder, monkeypatch):
+def test_open_recordings_are_bounded(folder, monkeypatch):
     recordings = Recordings(Catalog(folder))
     with recordings.opened(folder / "walk") as first, recordings.opened(folder / "walk") as again:
         assert again is first
     with recordings.opened(folder / "walk") as kept:
         assert kept is first
-    monkeypatch.setattr("hypose.app.studio.recordings._OPEN", -1)
+    monkeypatch.setattr("hypose.app.studio.recordings._OPEN", 1)
     with recordings.opened(folder / "walk", (0, 4)) as part, recordings.opened(folder / "walk", (2, 4)) as other:
         assert part is not first and other is not part
     with recordings.opened(folder / "walk", (2, 4)) as last:

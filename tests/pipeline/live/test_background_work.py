@@ -12,9 +12,8 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks, fitted_body, offsets_of
-from hypose.synthetic.corruptions import Corruptions
-from hypose.synthetic.scenes import camera_rig, make_scene
+from hypose.pipeline.live.background_work import BackgroundWork, KeptFrame, fitted_body, offsets_of
+from hypose.synthetic.scenes import Corruptions, camera_rig, make_scene
 
 
 def test_masks_are_kept_bit_for_bit(rng):
@@ -24,11 +23,11 @@ def test_masks_are_kept_bit_for_bit(rng):
     )
     masks = [rng.integers(0, 2, c.size[::-1]).astype(np.uint8) for c in mixed]
     s = make_silhouettes([masks[0], np.zeros_like(masks[1]), None, masks[3]], mixed)
-    kept = PackedMasks.of(Frame(7.25, 3, s))
-    back = kept.silhouettes(mixed)
+    kept = KeptFrame.of(Frame(7.25, 3, s))
+    back = kept.frame().silhouettes
     assert kept.time == 7.25 and (back.masks == s.masks).all() and back.masks.shape == s.masks.shape
     assert (back.usable == s.usable).all() and back.reasons == s.reasons
-    assert kept.bits.nbytes < s.masks.nbytes / 7
+    assert len(kept.data) < s.masks.nbytes / 4
 
 
 def kept_of(desync, seconds=6.0, seed=2):
@@ -36,13 +35,13 @@ def kept_of(desync, seconds=6.0, seed=2):
     what = replace(Corruptions(), desync=desync)
     scene = make_scene("walk", "neutral", cameras, seconds=seconds, seed=seed, corruption=what)
     frames = list(scene.mask_frames())
-    return [PackedMasks.of(f) for f in frames], frames[0].silhouettes.rig, scene.frame_rate
+    return [KeptFrame.of(f) for f in frames], scene.frame_rate
 
 
 @pytest.mark.slow
 def test_a_camera_that_is_late_is_found():
-    kept, cameras, rate = kept_of((0, 0, 2, 0))
-    found = offsets_of(kept, cameras, rate)
+    kept, rate = kept_of((0, 0, 2, 0))
+    found = offsets_of(kept, rate)
     assert found is not None
     assert found - np.median(found) == pytest.approx([0, 0, 2 / rate, 0], abs=0.25 / rate)
 
@@ -53,15 +52,15 @@ def test_cameras_that_are_in_step_have_no_offsets():
 
 
 def test_who_stands_still_tells_nothing_of_offsets():
-    kept, cameras, rate = kept_of((0, 0, 2, 0), seconds=2.0)
+    kept, rate = kept_of((0, 0, 2, 0), seconds=2.0)
     still = [replace(kept[0], time=k / rate) for k in range(100)]
-    assert offsets_of(still, cameras, rate) is None
+    assert offsets_of(still, rate) is None
 
 
 @pytest.mark.slow
 def test_a_body_is_fitted_to_what_was_kept():
-    kept, cameras, rate = kept_of((0,), seconds=3.6)
-    body = fitted_body(kept[::2], cameras, rate / 2, None, 0)
+    kept, rate = kept_of((0,), seconds=3.6)
+    body = fitted_body(kept[::2], rate / 2, None, 0)
     truth = make_scene("walk", "neutral", "humaneva-4", seconds=0.1, seed=2).subject
     assert body is not None and body.stature == pytest.approx(truth.stature, rel=0.03)
 

@@ -15,11 +15,11 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_models import DepthViewBackground
-from hypose.pipeline.live.background_work import PackedMasks
+from hypose.pipeline.live.background_work import KeptFrame
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
 from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.recorder import LiveRecorder
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step
 
@@ -45,7 +45,7 @@ def test_the_person_stands_before_the_room_that_was_learnt(frame):
 
 
 def test_depth_is_kept_of_the_person(frame):
-    again = PackedMasks.of(frame).frame(3, frame.depth.rig).depth
+    again = KeptFrame.of(frame).frame().depth
     person = frame.depth.person > 0
     assert np.array_equal(again.person, frame.depth.person)
     assert np.abs(again.maps - frame.depth.maps)[person].max() < 0.001
@@ -92,7 +92,7 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
         capture.close()
     assert recorder.close()
     recording = load_recording(tmp_path / "live")
-    room = recording.views[0].background
+    room = recording.views[0].files["background"]
     assert room is not None and len(list(room.glob("*.png"))) >= 3
     masks = [f.silhouettes.masks[0] for f in FrameStream(recording) if f.silhouettes is not None]
     assert max(m.sum() for m in masks) > 0.9 * (someone < 3).sum()

@@ -10,7 +10,7 @@ import pytest
 from hypose.body.default_body import human
 from hypose.pipeline.live.live_people import STATE_EMPTY, STATE_LOST, STATE_SEARCHING, STATE_TRACKING
 from hypose.tracking.left_right import turned_around
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height
 from tests.conftest import HANG_S
 from tests.live_scenes import RATE, at, follow, nobody, people_for
 
@@ -142,7 +142,8 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
         k = next(f.index for f in frames if step_with_duels(people, f))
         (person,) = people.people
         body = person.tracker.body
-        person.state = person.tracker.start(turned_around(body, person.state.pose))
+        turned = person.tracker.start(turned_around(body, person.state.pose))
+        person.member = replace(person.member, state=turned)
         s = body.skeleton
         left, right = s.joint("left_hip"), s.joint("right_hip")
         turned, duels = [], 0

@@ -50,7 +50,7 @@ export const click: OpenScreen = (root, rest) => {
 };
 
 function nothing(title: string, text: string, next: string): HTMLElement {
-  return h("div", { class: "empty" }, h("h2", {}, title), h("p", {}, text), h("p", {}, h("a", { href: next }, "Go on")));
+  return h("div", { class: "empty" }, h("h1", {}, title), h("p", {}, text), h("p", {}, h("a", { href: next }, "Go on")));
 }
 
 function chooser(state: State): HTMLElement {
@@ -58,7 +58,7 @@ function chooser(state: State): HTMLElement {
     return h(
       "div",
       { class: "empty" },
-      h("h2", {}, "No recording to click in"),
+      h("h1", {}, "No recording to click in"),
       h("p", {}, `There is none in ${state.root}. Set one up first: choose the folder with the videos and their calibration.`),
       h("p", {}, h("a", { class: "button primary", href: "#/setup" }, "Set up a recording")),
     );

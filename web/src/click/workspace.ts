@@ -272,7 +272,7 @@ export class Workspace {
         this.picture.element,
         h("div", { class: "row click-frame" }, h("span", { class: "dim" }, "Frame"), slider, frame),
       ),
-      h("aside", { class: "click-side" }, host, this.facts.element, this.save),
+      h("aside", { class: "click-side" }, h("h1", {}, this.recording.name), host, this.facts.element, this.save),
     );
   }
 }

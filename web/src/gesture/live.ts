@@ -64,9 +64,9 @@ function takeStep(live: Live, step: GestureStep): void {
   }
   live.step = step;
   for (const event of step.events) {
-    const start = event.kind === "end" ? live.log.find((e) => e.kind === "start" && e.gesture === event.gesture) : undefined;
+    const start = event.event === "end" ? live.log.find((e) => e.event === "start" && e.gesture === event.gesture) : undefined;
     if (start && start.seconds === null) start.seconds = event.time - start.time;
-    else if (event.kind === "start") live.log.unshift({ ...event, seconds: null });
+    else if (event.event === "start") live.log.unshift({ ...event, seconds: null });
   }
   live.log.length = Math.min(live.log.length, LOGGED);
 }

@@ -32,7 +32,7 @@ export const gesture: OpenScreen = (root) => {
       const state = await get<State>("/api/state", aborted.signal);
       if (!trainer) box.replaceChildren(startPage(state, begin));
     } catch (error) {
-      if (!aborted.signal.aborted) box.replaceChildren(h("div", { class: "empty" }, h("h2", {}, "No connection"), (error as Error).message));
+      if (!aborted.signal.aborted) box.replaceChildren(h("div", { class: "empty" }, h("h1", {}, "No connection"), (error as Error).message));
     }
   };
   const show = (): void => {

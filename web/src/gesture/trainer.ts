@@ -121,7 +121,7 @@ export class Trainer {
       answered(this.counters, at);
       return false;
     });
-    if (step.events.some((e) => e.kind === "start")) play("detected");
+    if (step.events.some((e) => e.event === "start")) play("detected");
   }
 
   takePicture(picture: Picture): void {
@@ -248,7 +248,7 @@ export class Trainer {
       h(
         "aside",
         { class: "gesture-side" },
-        h("div", { class: "side-head" }, h("h2", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session?.title ?? ""), this.saved),
+        h("div", { class: "side-head" }, h("h1", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session?.title ?? ""), this.saved),
         this.scores.element,
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }), this.sliderValue, this.automatic),

@@ -37,7 +37,7 @@ export function camerasLive(root: HTMLElement): Screen {
   const side = h(
     "aside",
     { class: "pane live-side" },
-    h("div", { class: "live-head" }, h("h2", {}, "Live cameras"), kinds("cameras"), state, words, started, form),
+    h("div", { class: "live-head" }, h("h1", {}, "Live cameras"), kinds("cameras"), state, words, started, form),
     h(
       "dl",
       { class: "live-figures" },

@@ -27,7 +27,7 @@ export const live: OpenScreen = (root, rest) => {
   const side = h(
     "aside",
     { class: "pane live-side" },
-    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), kinds("sensors"), state, form.element),
+    h("div", { class: "live-head" }, h("h1", {}, "Live fusion"), kinds("sensors"), state, form.element),
     h(
       "dl",
       { class: "live-figures" },

@@ -34,7 +34,7 @@ export const setup: OpenScreen = (root, rest) => {
   );
   const failed = (error: Error): void => {
     if (!signal.aborted && !page && !home) {
-      box.replaceChildren(h("div", { class: "empty" }, h("h2", {}, "That did not work"), h("p", {}, error.message), h("p", {}, h("a", { href: "#/setup" }, "To the recordings"))));
+      box.replaceChildren(h("div", { class: "empty" }, h("h1", {}, "That did not work"), h("p", {}, error.message), h("p", {}, h("a", { href: "#/setup" }, "To the recordings"))));
     } else if (!signal.aborted) toast(error.message, "error");
   };
   const begin = async (): Promise<void> => {

@@ -75,7 +75,7 @@ async function open(box: HTMLElement, id: string, row: number, clicks: string | 
       h(
         "div",
         { class: "empty" },
-        h("h2", {}, "This result cannot be shown"),
+        h("h1", {}, "This result cannot be shown"),
         h("p", {}, (error as Error).message),
         h("p", {}, h("a", { class: "button", href: "#/view" }, "All results")),
       ),

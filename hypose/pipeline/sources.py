@@ -1,0 +1,271 @@
+"""Sources of frames by number: in memory, at corrected camera places, with pictures, or with detections by colour."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.errors import InputError
+from hypose.evidence.body_parts import detect_ends, end_colors
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhouettes
+from hypose.evidence.skin import skin_map
+from hypose.geometry import Array
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.subject import TrackedSubject
+
+if TYPE_CHECKING:  # recordings are opened elsewhere
+    from hypose.io.recordings.frames import FrameSettings
+    from hypose.io.recordings.recording import Recording
+    from hypose.io.recordings.view_source import ViewSource
+
+
+@runtime_checkable
+class RecordedFrames(FrameSource, Protocol):
+    """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
+
+    recording: Recording
+    options: FrameSettings
+    rig: CameraRig
+    kinds: frozenset[type]
+    keypoints: Sequence[Keypoints]
+    frames: range
+
+    def pictures(self) -> list[ViewSource]:
+        """Open the pictures of all views; the caller closes them."""
+        ...
+
+
+class PictureFrames:
+    """Frames of a source with the undistorted picture of its one camera, at working size (`Frame.picture`).
+
+    The mask of a frame is put into its picture; where it shows no person, the picture has none. The frames of another
+    source than a FrameStream, such as a synthetic scene, have their pictures already and are not changed.
+    source: frames by number.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source, self._pictures = source, None
+        self._kept: dict[int, Frame] = {}
+        if isinstance(source, RecordedFrames):
+            # read forwards, while the stream makes masks ahead
+            self._pictures = source.pictures()[0]
+
+    def frame(self, index: int, /) -> Frame:
+        """Read a frame with its picture, without the picture of the frame before.
+
+        index: 0 <= index < length of the source.
+        """
+        frame = self._source.frame(index)
+        if self._pictures is None or not isinstance(self._source, RecordedFrames):
+            return frame
+        mask = None
+        for seen in frame.of(Silhouettes):
+            if seen.usable[0] and seen.areas[0] >= SETTINGS.picture_smallest_mask:
+                mask = seen.masks[0]
+        picture = Picture(self._source.rig[0], self._pictures.image(frame.index), None, mask)
+        return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
+
+    def walk(self, indices: range) -> Iterator[Frame]:
+        """Yield the frames one after the other, each with its picture and that of the frame before it.
+
+        indices: frames, forwards or backwards; "before" is meant in this direction. The first frame has a picture
+            before it too, unless the source begins (or ends) there.
+        """
+        behind = indices.start - indices.step
+        last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
+        for index in indices:
+            frame = self._read(index, indices.step)
+            if frame.picture is not None:
+                before = None if last is None or last.picture is None else last.picture.image
+                yield replace(frame, picture=replace(frame.picture, before=before))
+            else:
+                yield frame
+            last = frame
+
+    def _read(self, index: int, step: int) -> Frame:
+        """Read a frame with its picture.
+
+        index: number of the frame.
+        step: direction of the walk; below 0 several frames are read at once in their order and kept, so that the video
+            is never decoded backwards.
+        """
+        if step > 0:
+            return self.frame(index)
+        if index not in self._kept:
+            first = self.frame(index) if not self._kept else next(iter(self._kept.values()))
+            size = 1 if first.picture is None else first.picture.image.nbytes
+            self._kept = {
+                i: self.frame(i)
+                for i in range(max(0, index + 1 - max(1, SETTINGS.picture_ahead_bytes // size)), index + 1)
+            }
+        return self._kept[index]
+
+    def close(self) -> None:
+        """Release the video."""
+        if self._pictures is not None:
+            self._pictures.close()
+
+
+def tracked_frames(
+    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+) -> Iterator[Frame]:
+    """Yield the frames that a recipe tracks, with the evidence that it needs.
+
+    source: frames by number.
+    indices: frames, forwards or backwards.
+    needs: kinds of evidence that the recipe uses, as in Recipe.
+    subject: the person; its body at the start pose shows where the skin colours are learned.
+    Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
+        colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
+    """
+    if "picture" in needs:
+        with contextlib.closing(PictureFrames(source)) as frames:
+            yield from frames.walk(indices)
+        return
+    if not (
+        "detections" in needs
+        and isinstance(source, RecordedFrames)
+        and Keypoints not in source.kinds
+        and all(view.source is not None for view in source.recording.views)
+    ):
+        yield from (source.frame(i) for i in indices)
+        return
+    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
+        yield from (coloured.frame(i) for i in indices)
+
+
+class ColourDetections:
+    """Frames of a recording with the detections of hands and head by skin colour (`Frame.detections`, without
+    names).
+
+    The skin colours are learned from the first frame, whose pose is known. A frame depends on the recording and that
+    pose alone, not on the order in which frames are read. The pictures are read a second time, in addition to the
+    masks.
+    source: frames of the recording.
+    body, start: body of the person, and its pose (D,) in the first frame.
+    Raises: InputError where the pictures are grey, or the frames have no masks.
+    """
+
+    def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
+        self.source, self.body = source, body
+        self._pictures = source.pictures()
+        first = source.frame(0).the(Silhouettes)
+        images = self._images(0, first)
+        if np.ptp(images.astype(np.int16), axis=-1).max() < 8:
+            raise InputError(
+                "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
+            )
+        self._colours = end_colors(body, start, first, images)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Read a frame with its detections; without them where fewer than two views see the person."""
+        frame = self.source.frame(index)
+        for silhouettes in frame.of(Silhouettes):
+            centre = centre_of(silhouettes)
+            if centre is not None:
+                images = self._images(index, silhouettes)
+                maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
+                detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
+                return replace(frame, detections=detections)
+        return frame
+
+    def close(self) -> None:
+        """Release the videos."""
+        for view in self._pictures:
+            view.close()
+
+    def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
+        """Read the undistorted pictures of a frame, in the pixels of its masks.
+
+        index: frame, counted from the start of recording.frames.
+        silhouettes: masks of the frame.
+        Returns: (C, h, w, 3) BGR; black where a view is not usable.
+        """
+        out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
+        for c in np.flatnonzero(silhouettes.usable):
+            picture = self._pictures[int(c)].image(self.source.frames[index])
+            out[c, : picture.shape[0], : picture.shape[1]] = picture
+        return out
+
+
+def centre_of(silhouettes: Silhouettes) -> Array | None:
+    """Triangulate the middle of the person (3,) m from the centroids of the masks; None with fewer than two views."""
+    middle = np.zeros((len(silhouettes.masks), 1, 2))
+    for c, mask in enumerate(silhouettes.masks):
+        rows, columns = np.nonzero(mask)
+        if len(rows):
+            middle[c, 0] = columns.mean(), rows.mean()
+    seen = (silhouettes.usable & (silhouettes.areas > 0)).astype(np.float64)[:, None]
+    point, views = triangulate(silhouettes.rig, middle, seen)
+    return point[0] if views[0] >= 2 else None
+
+
+@dataclass(frozen=True)
+class FrameList:
+    """Frames in memory that can be tracked like a recording, for example those of a synthetic scene or of your own
+    cameras.
+
+    frame_rate: Hz.
+    """
+
+    frames: Sequence[Frame]
+    frame_rate: float = 25.0
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def keypoints(self) -> list[Keypoints | None]:
+        """Key points of all frames."""
+        return [f.keypoints for f in self.frames]
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index, 0 <= index < len."""
+        return self.frames[index]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places of the cameras from frame `since` on.
+
+    camera_from_world: (C, 4, 4).
+    """
+
+    since: int
+    camera_from_world: Array
+
+
+@dataclass(frozen=True)
+class PlacedSource:
+    """Source of frames with corrected camera places; in each frame the last of the places that have begun counts."""
+
+    source: FrameSource
+    places: Sequence[Places]
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index."""
+        now = [p for p in self.places if p.since <= index]
+        found = self.source.frame(index)
+        return placed(found, now[-1].camera_from_world) if now else found
+
+
+def placed(frame: Frame, camera_from_world: Array) -> Frame:
+    """Return the frame with the cameras placed at camera_from_world (C, 4, 4)."""
+    depth, silhouettes = frame.the(Depth), frame.the(Silhouettes)
+    cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
+    rig = type(depth.rig)(tuple(cameras))
+    return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
