@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.real_recordings import uu4cam_recording
 from benchmarks.synthetic.calibration_boards import BoardScene, compare_rigs, film_board, ring_of_cameras
+from hypose.calibration.board_fit import board_poses, calibrate_lens
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import board_poses, calibrate_lens
 from hypose.calibration.from_boards import BoardCalibration, CalibrateOptions, calibrate_from_boards
 from hypose.calibration.rig import RigCalibration, calibrate_rig
 from hypose.calibration.views import BoardFootage

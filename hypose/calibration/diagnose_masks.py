@@ -1,67 +1,54 @@
 """Diagnostics with silhouettes: compared with key points, and with the silhouettes of other views.
 
-Key points against masks: the mask extends equally to both sides of a limb's bone, so the middle of the mask across the
-    bone shows where the bone should be. The offsets of many limbs in many directions give the image shift of a view
-    and, as a function of the time lag, the delay between key points and video.
+Key points against masks: the middle of a limb lies deeper in the mask than its surroundings, so the depth of many limbs
+shows by how much the key points of a view are shifted or early.
 Silhouettes against each other: the planes through two camera centres that are tangent to the person must be the same in
-    both views (frontier points, Sinha and Pollefeys 2010).
+both views (frontier points, Sinha and Pollefeys 2010). They give less information than key points, two planes per pair
+and frame: mirrored, turned and exchanged views, timing, wrong poses and units are found, lens coefficients are not.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import INVALID, REVIEW, Finding
-from hypose.calibration.refine_points import apply_parameters
-from hypose.calibration.sync_motion import MaskTrack, tangent_planes
-from hypose.cameras.camera import CameraRig, triangulate
-from hypose.compute.linear import weighted_squares
-from hypose.compute.losses import lorentzian_weight
+from hypose.calibration.bundle import apply_parameters
+from hypose.calibration.diagnose_person import ViewReport, height_findings
+from hypose.calibration.diagnose_points import (
+    FAR_DEG,
+    FAR_M,
+    certain_delays,
+    odd_view_out,
+    timing_findings,
+    undo_faults,
+)
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits
+from hypose.calibration.refine_points import CameraChange, changes
+from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, tangent_planes
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute.mask_distance import signed_distance
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.keypoint_check import sizes, undistorted
+from hypose.evidence.keypoint_check import Trial, geometric_trials
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
+
+# ---- key points against masks --------------------------------------------------------------------------------------
+
 
 _LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
 )
-_TRUNK = (
-    ("left_shoulder", "left_hip"),
-    ("right_shoulder", "right_hip"),
-    ("left_shoulder", "right_hip"),
-    ("right_shoulder", "left_hip"),
-)
-_ALONG = (0.35, 0.5, 0.65)
-_BIAS = 0.01  # of the person's size: how far a limb's middle may lie from its bone, 1 sd
-_CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body are left out
-
-
-@dataclass(frozen=True)
-class LimbOffsets:
-    """Offsets of limbs in one view: for N points on bones, how far the middle of the mask, measured across the bone,
-        lies from the bone. Pixels are those of the working size.
-
-    normal: (N, 2) normal of the bone.
-    offset: (N,) offset of the middle from the bone along the normal, px.
-    velocity: (N, 2) velocity of the point on the bone, px per frame.
-    position: (N, 2) point on the bone, px.
-    limb: (N,) index of the limb.
-    frame: (N,) index of the frame.
-    """
-
-    normal: Array
-    offset: Array
-    velocity: Array
-    position: Array
-    limb: NDArray[np.int64]
-    frame: NDArray[np.int64]
+_ALONG = (0.35, 0.5, 0.65)  # places on a limb that are judged, shares of its length
+_DEPTH = 0.03  # of the person's size: depth in the mask above which a place is simply inside
+_LARGEST_LAG = 6  # frames
+_FEWEST = 60  # places and frames in which a limb is seen
 
 
 @dataclass(frozen=True)
@@ -80,209 +67,83 @@ class Alignment:
     shift_sd: Array
 
 
-def limb_offsets(
-    points: Array, velocities: Array, names: Sequence[str], masks: Mapping[int, NDArray[np.uint8]], lag: int
-) -> LimbOffsets:
-    """Measure the offsets between limbs and masks in one view.
-
-    points: (T, K, 3) px of the masks, and confidence.
-    velocities: (T, K, 2) px per frame.
-    names: K names of the key points.
-    masks: masks (h, w) by frame; mask t + lag is compared with points t.
-    """
-    column = {n: k for k, n in enumerate(names)}
-    limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
-    bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
-    parts: list[Array] = [np.zeros((0, 10))]
-    for t, p in enumerate(points):
-        size = person_size(p, least=5)
-        if t + lag not in masks or size <= 0 or len(limbs) == 0:
-            continue
-        mask = masks[t + lag]
-        reach = 0.14 * size
-        bone = p[limbs[:, 1], :2] - p[limbs[:, 0], :2]
-        length = np.linalg.norm(bone, axis=1)
-        limb = np.flatnonzero((p[limbs, 2].min(1) > 0.4) & (length > 0.06 * size))
-        if len(limb) == 0:
-            continue
-        bone, length = bone[limb], length[limb]
-        normal = np.repeat(np.stack([-bone[:, 1], bone[:, 0]], 1) / length[:, None], len(_ALONG), 0)
-        share = np.tile(_ALONG, len(limb))[:, None]
-        a, b = (np.repeat(limbs[limb, k], len(_ALONG)) for k in (0, 1))
-        start = p[a, :2] * (1 - share) + p[b, :2] * share
-        velocity = velocities[t, a] * (1 - share) + velocities[t, b] * share
-        # how far the mask reaches to either side of the bone
-        steps = np.arange(0, reach, 0.5)
-        width = _reach(mask, np.repeat(start, 2, 0), np.stack([normal, -normal], 1).reshape(-1, 2), steps).reshape(
-            -1, 2
-        )
-        fine = (width.max(1) < 0.6 * reach) & (width.sum(1) > 0.012 * size) & np.isfinite(velocity).all(1)
-        which = np.repeat(limb, len(_ALONG))
-        fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
-        offset = 0.5 * (width[:, 0] - width[:, 1])
-        across = width.sum(1) / size
-        frame = np.full(len(which), t)
-        columns = np.column_stack([normal, velocity, start, offset, across, which, frame])
-        parts.append(np.asarray(columns[fine], dtype=np.float64))
-    rows = np.concatenate(parts)
-    rows = rows[_alone(rows[:, 8].astype(np.int64), rows[:, 7], len(limbs))]
-    limb, frame = rows[:, 8:].astype(np.int64).T
-    return LimbOffsets(rows[:, :2], rows[:, 6], rows[:, 2:4], rows[:, 4:6], limb, frame)
-
-
-def _clearance(
-    start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
-) -> Array:
-    """Compute the distance of points on limbs from the nearest other bone.
-
-    start: (N, 2) px, points on limbs.
-    limb: (N,) index of the limb of each.
-    p: (K, 3) px of the frame's key points, and confidence.
-    limbs, bones: (L, 2) and (B, 2) indices of the key points at both ends.
-    Returns: (N,) px; infinite where no bone without a common joint is seen.
-    Why: a limb in front of another part of the body has no outline of its own.
-    """
-    a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
-    along = b - a
-    t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
-    gap = np.linalg.norm(start[:, None] - a - np.clip(t, 0, 1)[..., None] * along, axis=-1)
-    joined = (limbs[limb][:, None, :, None] == bones[None, :, None, :]).any((2, 3))
-    unseen = p[bones, 2].min(1) < 0.2
-    return np.where(joined | unseen, np.inf, gap).min(1)
-
-
-def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
-    """Test whether the mask is about as wide as the limb; it is wider in front of another part of the body.
-
-    limb: (N,) index of the limb of each measurement.
-    across: (N,) width of the mask across the limb, in sizes of the person.
-    n_limbs: number of limbs, of both sides together.
-    Returns: (N,) True where the width is below 1.35 times the limb's lower quartile.
-    """
-    out = np.zeros(len(limb), dtype=bool)
-    half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
-    for k in range(half):
-        pair = np.flatnonzero(limb % half == k)
-        if len(pair):
-            out[pair] = across[pair] < 1.35 * np.percentile(across[pair], 25)
-    return out
-
-
-def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
-    """Compute how far (N,), px, the mask extends from each start (N, 2) in its direction; 0 where the start is
-    outside.
-    """
-    at = np.rint(start[:, None] + direction[:, None] * steps[None, :, None]).astype(int)
-    h, w = mask.shape
-    inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
-    on = np.zeros(at.shape[:2], dtype=bool)
-    on[inside] = mask[at[..., 1][inside], at[..., 0][inside]] > 0
-    first_off = np.where(on.all(1), len(steps) - 1, np.argmin(on, axis=1))
-    return steps[first_off]
-
-
 def align_to_masks(
-    points: Array, names: Sequence[str], masks: Mapping[int, NDArray[np.uint8]], largest: int = 6
+    points: Array, names: Sequence[str], silhouettes: Sequence[Silhouettes | None], view: int
 ) -> Alignment | None:
-    """Estimate the lag and shift between the key points and the masks of one view.
-
-    The middle of a limb in the mask is at bone + shift + delay x velocity; the three unknowns are found by robust
-    regression. The lag is rounded and applied to whole frames until less than half a frame remains.
+    """Estimate the lag and shift between the key points and the masks of one view, which put the limbs deepest in the
+    masks.
 
     points: (T, K, 3) px of the masks, and confidence.
     names: K names of the key points.
-    masks: masks (h, w) by frame.
-    largest: largest lag, frames.
+    silhouettes: T, of consecutive frames.
+    view: index of the view.
     Returns: None where too few limbs are seen.
-    Why: the shift's standard deviation counts limbs, not frames, because the error of a limb is the same all the time
+    Why: standard deviations are those of a jackknife over limbs, because the error of a limb is the same in all frames
         (clothes, where a detector places a joint).
     """
-    found_sizes = [s for s in (person_size(p, least=5) for p in points) if s > 0]
-    if not found_sizes:
+    from scipy.optimize import minimize  # takes long to import
+
+    found = [size for p in points if (size := person_size(p, least=5)) > 0]
+    there = [t for t, s in enumerate(silhouettes) if s is not None and s.usable[view]]
+    limbs = np.array([(names.index(a), names.index(b)) for a, b in _LIMBS if a in names and b in names]).reshape(-1, 2)
+    shown = points[:, limbs, 2].min(-1) > 0.4
+    seen = shown[there].sum(0) * len(_ALONG) >= _FEWEST
+    if not found or seen.sum() < 4:
         return None
-    scale = 0.006 * float(np.median(found_sizes))
-    velocities = _velocities(points)
-    lag, best = 0, None
-    for _ in range(5):
-        found = limb_offsets(points, velocities, names, masks, lag)
-        if len(found.offset) < 60:
-            return best
-        x, sd = _regressed(found, scale)
-        sd[:2] = np.hypot(sd[:2], _BIAS * scale / 0.006 / np.sqrt(_views_of_limbs(found, scale / 0.006)))
-        best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2])
-        new = int(np.clip(np.rint(best.lag), -largest, largest))
-        if new == lag:
-            break
-        lag = new
-    return best
+    limbs, shown, deep = limbs[seen], shown[:, seen], _DEPTH * float(np.median(found))
+    masks = np.stack([s.masks[view] for s in silhouettes if s is not None and s.usable[view]])
+    (w, h), count = next(s.rig[view].size for s in silhouettes if s is not None), len(points)
+    depth = np.full((count + 1, *masks.shape[1:]), np.nan)  # the last for frames outside the clip
+    depth[there] = np.clip(-signed_distance(masks, np.tile([w, h], (len(masks), 1))), -deep, deep)
+    share = np.array(_ALONG)[:, None, None]
+    places = (1 - share) * points[:, None, limbs[:, 0], :2] + share * points[:, None, limbs[:, 1], :2]
+
+    def depths(lag: int, shift: Array) -> Array:
+        """Compute the mean depth (L,) of limbs in the masks `lag` frames later, after a shift (2,) of the points."""
+        t = np.arange(count) + lag
+        x, y = np.moveaxis(np.clip(np.rint(places + shift), 0, [w - 1, h - 1]).astype(int), -1, 0)
+        values = depth[np.where((t >= 0) & (t < count), t, count)[:, None, None], y, x]
+        return np.nanmean(np.where(shown[:, None], values, np.nan), (0, 1))
+
+    curves = np.stack([depths(lag, np.zeros(2)) for lag in range(-_LARGEST_LAG, _LARGEST_LAG + 1)])
+
+    def best_lag(kept: NDArray[np.int64]) -> float:
+        curve = curves[:, kept].mean(1)
+        k = int(np.clip(curve.argmax(), 1, len(curve) - 2))
+        bend = curve[k - 1] - 2 * curve[k] + curve[k + 1]
+        return k - _LARGEST_LAG + (0.5 * (curve[k - 1] - curve[k + 1]) / bend if bend < 0 else 0.0)
+
+    every = np.arange(len(limbs))
+    lag = best_lag(every)
+
+    def best_shift(kept: NDArray[np.int64]) -> Array:
+        simplex = 0.7 * deep * np.array([[0.0, 0], [1, 0], [0, 1]])
+        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4, "maxiter": 60}
+
+        def shallow(x: Array) -> float:
+            return -float(depths(round(lag), x)[kept].mean())
+
+        return np.asarray(minimize(shallow, np.zeros(2), method="Nelder-Mead", options=options).x)
+
+    without = [every[every != k] for k in every]
+    spread = np.sqrt(len(every) - 1)
+    lag_sd = spread * np.std([best_lag(kept) for kept in without])
+    shift_sd = spread * np.std([best_shift(kept) for kept in without], axis=0)
+    return Alignment(lag, float(lag_sd), -best_shift(every), shift_sd)
 
 
-def _views_of_limbs(found: LimbOffsets, size: float) -> float:
-    """Compute the effective number of limbs: one that hardly moves has the same bias in every frame.
-
-    found: measured offsets.
-    size: size of the person, px.
-    """
-    total = 0.0
-    for limb in np.unique(found.limb):
-        mine = found.position[found.limb == limb]
-        if len(mine) >= 10:
-            total += min(1 + float(np.std(mine, axis=0).max()) / (0.02 * size), 4.0)
-    return max(total, 1.0)
+# ---- silhouettes against each other --------------------------------------------------------------------------------
 
 
-def _velocities(points: Array) -> Array:
-    """Compute velocities (T, K, 2), px per frame, by central differences over four frames; NaN where a neighbour is
-    missing.
-    """
-    n = len(points)
-    xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
-    a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
-    return (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
-
-
-def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
-    """Estimate shift and lag from the offsets of limbs by robust regression.
-
-    found: measured offsets.
-    scale_px: robust scale of an offset, px.
-    Returns: (3,) shift x and y, px, and time, frames; and their standard deviations (3,).
-    """
-    rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
-    y, x, h = found.offset, np.zeros(3), np.eye(3)
-    # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
-    count = np.maximum(np.bincount(found.limb)[found.limb], 15)
-    share = count.mean() / count
-    weight = share
-    for _ in range(12):
-        h, right = weighted_squares(rows, weight, y)
-        h += 1e-6 * np.eye(3)
-        x = np.asarray(np.linalg.solve(h, right), dtype=np.float64)
-        weight = lorentzian_weight(((y - rows @ x) / scale_px) ** 2, share)
-    r = y - rows @ x
-    inverse = np.linalg.inv(h)
-    spread = np.zeros((3, 3))
-    limbs = np.unique(found.limb)
-    for limb in limbs:
-        mine = found.limb == limb
-        s = np.einsum("ri,r,r->i", rows[mine], weight[mine], r[mine])
-        spread += np.outer(s, s)
-    by_limb = np.diag(inverse @ spread @ inverse) * len(limbs) / max(len(limbs) - 2, 1)
-    # lower bound: as if every second frame gave one independent limb
-    frames = max(len(np.unique(found.frame)) / 2, 1.0)
-    noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
-    by_frame = np.diag(inverse) * noise * len(y) / frames
-    return x, np.sqrt(np.maximum(by_limb, by_frame))
-
-
-def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> dict[int, NDArray[np.uint8]]:
-    """Collect the usable masks (h, w) of one view, without padding, by frame."""
-    out = {}
-    for t, s in enumerate(silhouettes):
-        if s is not None and s.usable[view]:
-            w, h = s.rig[view].size
-            out[t] = s.masks[view, :h, :w]
-    return out
+_SCATTER = 0.08
+"""Share of the person's size by which tangent planes may disagree; it allows for tables and treadmills that hide part
+of the person."""
+_FEW, _JUDGED = 25, 40  # frames by which trials are compared, and on which poses are judged
+_LOOK_AT_MASKS = (
+    "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
+    "give a photo or clip of the empty room as background, masks of your own, or key points"
+)
+_REFINE = "run hypose check --refine and use the calibration that it writes"
 
 
 def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int], Array]:
@@ -295,172 +156,323 @@ def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int
     out = {}
     for a, b in itertools.combinations(range(len(tracks)), 2):
         planes, px = tangent_planes(rig, tracks, a, b)
-        size = np.where(np.isnan(px).any(0), np.nan, px.mean(0))
-        out[a, b] = (planes[1] - planes[0]) * size
+        out[a, b] = (planes[1] - planes[0]) * np.where(np.isnan(px).any(0), np.nan, px.mean(0))
     return out
 
 
-def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array:
+def tangency_by_view(rig: CameraRig, tracks: Sequence[MaskTrack]) -> Array:
     """Summarise the disagreement of tangent planes per view.
 
-    pairs: result of `tangency`.
-    n_views: number of views.
+    tracks: mask track of each view.
     Returns: (C,) median over a view's pairs of the median over frames and tangents, px; NaN without data.
     """
-    out = np.full(n_views, np.nan)
-    for c in range(n_views):
+    pairs, out = tangency(rig, tracks), np.full(len(tracks), np.nan)
+    for c in range(len(tracks)):
         mine = [np.nanmedian(np.abs(v)) for k, v in pairs.items() if c in k and np.isfinite(v).any()]
         if mine:
             out[c] = float(np.median(mine))
     return out
 
 
-# ---- common focal --------------------------------------------------------------------------------------------------
-# The common factor by which all focal lengths are wrong, estimated from a moving person.
-#
-# Cameras whose focal lengths are all too long by the same factor show a smaller world: a person who stays where all
-# of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, along
-# lines that are known, and the factor follows from that by least squares. Its uncertainty is estimated by
-# leaving out each view, since an error of one of them is the same in all frames, and each key point or tangent,
-# whose errors last.
+@dataclass(frozen=True)
+class MaskViews:
+    """The masks of all views over T frames, as the checks see them.
+
+    rig: cameras of the masks, at their size.
+    tracks: mask track of each view.
+    size: (C,) size of the person in each view, px; 0 in a view without a whole mask.
+    """
+
+    rig: CameraRig
+    tracks: list[MaskTrack]
+    size: Array
+
+    @staticmethod
+    def of(silhouettes: Sequence[Silhouettes | None]) -> MaskViews:
+        """Collect the masks of consecutive frames; EvidenceError without any."""
+        tracks = mask_tracks(silhouettes)
+        rig = next(s.rig for s in silhouettes if s is not None)
+        return MaskViews(rig, tracks, np.array([t.size for t in tracks]))
+
+    def score(self) -> float:
+        """Compute the mean disagreement of the views' tangent planes, in shares of the person's size; 10 where planes
+        never agree.
+        """
+        seen = self.size > 0
+        by_view = tangency_by_view(self.rig, self.tracks)[seen] / self.size[seen]
+        return float(np.mean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0))) if seen.sum() > 1 else 0.0
+
+    def few(self, count: int = _JUDGED) -> MaskViews:
+        """Keep `count` frames, evenly spread."""
+        return replace(self, tracks=_few(self.tracks, count))
+
+    def on_clock(self, late: Array) -> MaskViews:
+        """Shift the views in time, so that their frames t + late (C,) become frame t."""
+        frames = np.arange(len(self.tracks[0].area))
+        return replace(self, tracks=[t.at(frames + round(x)) for t, x in zip(self.tracks, late, strict=True)])
+
+    def of_some(self, cameras: CameraRig, kept: list[int]) -> float:
+        """Compute the `score` of some views, whose cameras may have changed."""
+        return MaskViews(cameras, [self.tracks[k] for k in kept], self.size[kept]).score()
+
+    def looked_at(self) -> Array:
+        """Compute the point (3,) that lies nearest to the middle of all pictures, m, in place of the person."""
+        look = np.stack([c.camera_from_world[2, :3] for c in self.rig])
+        across = np.eye(3) - look[:, :, None] * look[:, None, :]
+        return np.linalg.lstsq(across.sum(0), (across @ self.rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
 
 
-_LARGEST = 0.35
-"""Largest logarithm of a factor; a larger one belongs to another minimum, or to another fault."""
-_STEP = 1e-3
-_ROUNDS = 8
-_TUKEY = 4.7
-_LEAST_ROWS = 40
-FactorRows = Callable[[CameraRig, list[int]], Array]
-"""Function of a rig and view indices that gives residuals (R, G) in shares of the person's size, NaN where there is
-none.
+def examine_silhouettes(
+    rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits
+) -> tuple[list[Finding], tuple[ViewReport, ...], Array]:
+    """Diagnose a calibration with silhouettes alone.
 
-G kinds of residuals have errors that last over the R instants.
-"""
+    rig: the calibrated cameras.
+    silhouettes: silhouettes of consecutive frames.
+    o: limits.
+    Returns: findings, a report per view, and (C,) delay of each view, frames.
+    Raises: EvidenceError where no frame has silhouettes.
+    """
+    seen, n = MaskViews.of(silhouettes), len(rig)
+    if n < 2:
+        return [], tuple(ViewReport(name) for name in rig.names), np.zeros(n)
+    residual = tangency_by_view(seen.rig, seen.tracks) * rig.sizes[:, 0] / seen.rig.sizes[:, 0]
+    reports = tuple(ViewReport(name, tangency_px=float(r)) for name, r in zip(rig.names, residual, strict=True))
+    findings, seen = _gross_masks(seen, o)
+    late, timed = _timing(seen, o)
+    in_step = seen.on_clock(late)
+    # for a person who walks straight, a late camera has the same effect as a displaced one, and a displaced one seems
+    # late: it is displaced where moving it explains far more
+    best = None if findings else _best_moved(rig, seen, o)
+    if best is not None and best.after <= min(o.gross_cured * min(best.before, in_step.few().score()), o.tangency):
+        findings.append(best.finding)
+        seen = best.moved
+        late, timed = _timing(seen, o)
+        in_step = seen.on_clock(late)
+    findings += timed
+    if all(f.kind == "late" for f in findings):
+        findings += focal_findings(in_step.rig, in_step.few().of_some)
+    if all(f.kind == "late" for f in findings):
+        best = best if best is not None and not late.any() else _best_moved(rig, in_step, o)
+        poses = _poses(in_step, best, o)
+        if any(f.kind == "scatter" for f in poses):  # masks that do not show one person give no lag
+            return poses, reports, np.zeros(n)
+        findings += [*poses, *_unit(in_step, o)]
+    return findings, reports, late
+
+
+def gross_silhouettes(seen: MaskViews, o: Limits) -> tuple[Finding, ...]:
+    """Find gross faults from the masks of a few frames, which need not be consecutive.
+
+    The faults are mirrored, rotated and exchanged views, tangent planes that never agree, and a wrong unit.
+
+    o: limits.
+    Returns: the findings; none where there is only one view or no silhouette.
+    """
+    if len(seen.rig) < 2 or not (seen.size > 0).any():
+        return ()
+    findings, seen = _gross_masks(seen, o)
+    left = seen.score()
+    if not findings and left > _SCATTER:
+        findings.append(replace(_scattered(seen, left), cure="run hypose check, which looks for the cause"))
+    return (*findings, *_unit(seen, o))
+
+
+def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
+    total = len(tracks[0].area)
+    rows = np.unique(np.linspace(0, total - 1, min(count, total)).astype(int))
+    return [t.at(rows) for t in tracks]
+
+
+def _gross_masks(seen: MaskViews, o: Limits) -> tuple[list[Finding], MaskViews]:
+    """Find and undo up to two gross faults by the tangent planes of the masks.
+
+    Returns: the findings, and the masks after the faults were undone.
+    """
+
+    def trials(cameras: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
+        def turned(c: int, factor: Array) -> list[MaskTrack]:
+            middle, track = (np.array(cameras[c].size) - 1) / 2, tracks[c]
+            outline, changed = (
+                tuple(None if p is None else middle + factor * (p - middle) for p in parts)
+                for parts in (track.outline, track.changed)
+            )
+            return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
+
+        return geometric_trials(cameras, tracks, turned, lambda order: [tracks[k] for k in order])
+
+    def measure(cameras: CameraRig, tracks: list[MaskTrack], _: Sequence[int]) -> float:
+        return MaskViews(cameras, tracks, seen.size).score()
+
+    most = 2 if seen.few(_FEW).score() >= o.gross else 0
+    findings, rig, tracks = undo_faults(
+        seen.rig, seen.tracks, trials, measure, partial(_few, count=_FEW), o, most, _SCATTER
+    )
+    return findings, MaskViews(rig, tracks, seen.size)
+
+
+def _timing(seen: MaskViews, o: Limits) -> tuple[Array, list[Finding]]:
+    """Estimate the delay of each view from its masks.
+
+    Returns: (C,) frames, 0 where it is not certain, and for all views of fewer than 24 frames; and the findings.
+    """
+    n = len(seen.rig)
+    if len(seen.tracks[0].area) < 24:
+        return np.zeros(n), []
+    curves = partial(silhouette_curves, seen.rig, seen.tracks, scale_px=max(float(np.median(seen.size)) / 130, 0.5))
+    late, sd = certain_delays(curves, n, o, max(o.late, 0.6), 2 * o.late_gain)
+    return late, list(timing_findings(seen.rig, late, sd))
+
+
+def _poses(seen: MaskViews, best: _Moved | None, o: Limits) -> list[Finding]:
+    """Check whether moving one camera makes the tangent planes agree.
+
+    best: result of `_best_moved`.
+    Returns: at most one finding; none where the planes agree already or there are two views.
+    """
+    if best is None:
+        return []
+    before, after = best.before, best.after
+    disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
+    if min(before, after) > _SCATTER or (best.far and after > o.tangency):
+        if before <= _SCATTER and after <= _SCATTER:  # the views show one person; the fault is unknown
+            return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
+        found = _scattered(seen.few(), before)
+        text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
+        return [replace(found, text=text)]
+    if after > o.extrinsics * before:
+        return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]
+    return [best.finding]
+
+
+def _scattered(seen: MaskViews, before: float) -> Finding:
+    """Make the finding that masks do not show one person; it names a view without which the others agree.
+
+    before: disagreement of the tangent planes, share of the person's size.
+    """
+    disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
+    limit = min(0.5 * _SCATTER, 0.25 * before)
+    odd = odd_view_out(seen.rig, seen.of_some, limit) if (seen.size > 0).sum() > 3 else None
+    if odd is None:
+        return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
+    name = seen.rig.names[odd[0]]
+    text = f"{name}: {disagree}, by {100 * odd[1]:.0f} % without this view"
+    return Finding("scatter", (name,), text, _LOOK_AT_MASKS, before)
 
 
 @dataclass(frozen=True)
-class CommonFocal:
-    """Estimated common error of the focal lengths of all cameras.
+class _Moved:
+    """The camera whose movement lessens the disagreement of tangent planes most.
 
-    factor: factor by which all focal lengths must be multiplied.
-    sd: standard deviation of its logarithm; infinite where nothing is known.
+    before, after: disagreement before and after it is moved, shares of the person's size.
+    moved: the masks with the moved camera.
+    far: whether it is moved farther than a calibration is usually wrong.
+    finding: the finding that it is displaced.
     """
 
-    factor: float
-    sd: float
+    before: float
+    after: float
+    moved: MaskViews
+    far: bool
+    finding: Finding
+
+
+def _best_moved(rig: CameraRig, seen: MaskViews, o: Limits) -> _Moved | None:
+    """Find the camera that helps most when it alone is moved to where its tangent planes agree best with the others'.
+
+    rig: the calibrated cameras.
+    Returns: None where the planes agree already, or there are two views.
+    """
+    few = seen.few()
+    before = few.score()
+    if before < o.tangency or len(rig) < 3:
+        return None
+    tried = [replace(few, rig=_moved_alone(few, c)) for c in range(len(rig))]
+    left = [moved.score() for moved in tried]
+    c = int(np.argmin(left))
+    change: CameraChange = changes(seen.rig, tried[c].rig, seen.looked_at()[None])[c]
+    px = change.image_px * rig.sizes[c, 0] / seen.rig.sizes[c, 0]
+    text = (
+        f"{rig.names[c]}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
+        f"{px:.0f} px in its image; the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's "
+        f"size, after moving this camera by {100 * left[c]:.1f} %"
+    )
+    far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
+    finding = Finding("extrinsics", (rig.names[c],), text, _REFINE, px)
+    return _Moved(before, left[c], replace(seen, rig=tried[c].rig), far, finding)
+
+
+def _moved_alone(seen: MaskViews, c: int) -> CameraRig:
+    """Move camera c to where its tangent planes agree best with those of the others, and return all cameras."""
+    from scipy.optimize import least_squares  # takes long to import
+
+    rig, scale = seen.rig, 0.01 * max(float(seen.size[c]), 1.0)
+
+    def camera(x: Array) -> Camera:
+        return apply_parameters(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
+
+    def rows(x: Array) -> Array:
+        moved, others = camera(x), [k for k in range(len(rig)) if k != c]
+        pairs = [tangency(CameraRig((moved, rig[k])), [seen.tracks[c], seen.tracks[k]])[0, 1] for k in others]
+        r = np.clip(np.nan_to_num(np.concatenate(pairs, None)), -50 * scale, 50 * scale) / scale
+        return np.r_[r, 0.3 * x]
+
+    found = least_squares(rows, np.zeros(6), loss="soft_l1", max_nfev=12, diff_step=1e-3).x
+    return CameraRig((*rig.cameras[:c], camera(found), *rig.cameras[c + 1 :]))
+
+
+def _unit(seen: MaskViews, o: Limits) -> Iterator[Finding]:
+    """Check the person's height from its size in the images and the distance of the cameras; accurate to a third."""
+    distance = np.linalg.norm(seen.rig.positions - seen.looked_at(), axis=1)
+    heights = (seen.size * distance / np.array([c.K[1, 1] for c in seen.rig]))[seen.size > 0]
+    if len(heights):
+        yield from height_findings(
+            float(np.median(heights)), None, replace(o, heights=(0.6, 3.5), usual_heights=(0.6, 3.5))
+        )
+
+
+# ---- common focal length -------------------------------------------------------------------------------------------
+# Cameras whose focal lengths are all too long by the same factor show a smaller world: a person who stays where all
+# of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, so the
+# factor is the one with which the views disagree least. Its uncertainty is estimated by leaving out each view, since
+# an error of one of them is the same in all frames.
 
 
 _FAULT_LOG_FACTOR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
 """Limits for a common focal factor. It is a fault when its logarithm exceeds both _FAULT_LOG_FACTOR and CERTAIN
 standard deviations, with a standard deviation of at most KNOWN; it is worth a check beyond LIKELY standard deviations.
-Of 33 scenes with corrupted key points, objects in the masks or late cameras (seeds 600 to 602) none exceeded 3.4
-standard deviations."""
+"""
+_REACHES = (0.15, 0.1)
+"""Largest logarithms of the factors that are tried around the best one so far."""
 
 
-def focal_findings(found: CommonFocal) -> Iterator[Finding]:
-    """Yield the finding of a common focal factor, where it is significant."""
-    off = abs(float(np.log(found.factor)))
-    if off > _FAULT_LOG_FACTOR and off > LIKELY * found.sd and found.sd < KNOWN:
-        text = (
-            f"All cameras: the views agree best if every focal length were {found.factor:.2f} times as long (sd "
-            f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
-        )
-        cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
-        yield Finding("focal", (), text, cure, off, severity=INVALID if off > CERTAIN * found.sd else REVIEW)
+def focal_findings(rig: CameraRig, disagree: Callable[[CameraRig, list[int]], float]) -> Iterator[Finding]:
+    """Yield the finding of a factor by which all focal lengths are wrong, where it is significant.
 
-
-def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
-    """Estimate the common focal factor from key points.
-
-    pixels: (C, T, K, 3) px of the calibrated, distorted pictures, and confidence.
-    """
-    size = np.maximum(sizes(pixels), 1.0)
-
-    def rows(moved: CameraRig, views: list[int]) -> Array:
-        own = CameraRig(tuple(moved[c] for c in views))
-        uv, confidence = undistorted(own, pixels[views])
-        n, frames, count = confidence.shape
-        seen = np.where(confidence > 0.3, confidence, 0.0).reshape(n, -1)
-        flat = uv.reshape(n, -1, 2)
-        points, _ = triangulate(own, flat, seen)
-        away = np.stack([c.project_pinhole(points) for c in own]) - flat
-        away = np.where(((seen > 0).sum(0) > 1)[None] & (seen > 0), np.moveaxis(away, -1, 0), np.nan)
-        away /= size[views][:, None]
-        return away.reshape(2 * n, frames, count).transpose(1, 0, 2).reshape(frames * 2 * n, count)
-
-    return _factor(rig, rows)
-
-
-def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
-    """Estimate the common focal factor from tangent planes of pairs of views.
-
-    rig: the cameras of the masks.
-    tracks: mask track of each view.
-    """
-    size = np.maximum([t.size for t in tracks], 1.0)
-
-    def rows(moved: CameraRig, views: list[int]) -> Array:
-        pairs = tangency(CameraRig(tuple(moved[c] for c in views)), [tracks[c] for c in views])
-        scaled = [v / np.sqrt(size[views[a]] * size[views[b]]) for (a, b), v in pairs.items()]
-        return np.concatenate(scaled, 1) if scaled else np.zeros((0, 1))
-
-    return _factor(rig, rows)
-
-
-def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
-    """Estimate the common focal factor that makes the residuals smallest.
-
-    rows: function that computes the residuals.
-    Returns: factor 1 with an infinite standard deviation where there are fewer than three views or too few rows.
+    disagree: function of some of the cameras, changed, and their indices, that gives their disagreement.
     """
     views = list(range(len(rig)))
-    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # with two views, a wrong pose looks the same
-    if found is None or abs(found[0]) >= _LARGEST:
-        return CommonFocal(1.0, float("inf"))
-    x, slope, residual, weight = found
-    # errors of kinds of rows are independent, and so are those of views
-    own = np.nansum(weight * slope * residual, 0) / max(float(np.nansum(weight * slope**2)), 1e-12)
-    left = [_solve(rig, rows, [v for v in views if v != c], x, once=True) for c in views]
-    moves = np.array([f[0] - x for f in left if f is not None])
-    if len(moves) < len(views):
-        return CommonFocal(1.0, float("inf"))
-    variance = (own**2).sum() + (len(views) - 1) / len(views) * (moves**2).sum()
-    return CommonFocal(float(np.exp(x)), float(np.sqrt(variance)))
+    if len(views) < 3:  # with two views, a wrong pose looks the same
+        return
 
+    def best(kept: list[int], x: float) -> float:
+        """Compute the logarithm of the factor with which some views disagree least, from a parabola through trials."""
+        for reach in _REACHES:
+            steps = reach * np.linspace(-1, 1, 5)
+            trials = [[apply_parameters(rig[c], np.r_[np.zeros(6), x + step]) for c in kept] for step in steps]
+            squares = np.array([disagree(CameraRig(tuple(cameras)), kept) ** 2 for cameras in trials])
+            bend, slope, _ = np.polyfit(steps, squares, 2) if np.isfinite(squares).all() else np.zeros(3)
+            x += float(np.clip(-0.5 * slope / bend, -1.5 * reach, 1.5 * reach)) if bend > 0 else np.nan
+        return x
 
-def _solve(
-    rig: CameraRig, rows: FactorRows, views: list[int], begin: float, *, once: bool = False
-) -> tuple[float, Array, Array, Array] | None:
-    """Estimate the logarithm of the factor from some of the views.
-
-    rows: function that computes the residuals.
-    views: indices of the views.
-    begin: start value.
-    once: True for two iterations only, from a good start.
-    Returns: the logarithm, and slopes, residuals and weights of the rows (R, G); None without enough rows.
-    """
-    x = begin
-    slope = residual = weight = np.zeros((0, 1))
-    for _ in range(2 if once else _ROUNDS):
-        residual = rows(_scaled(rig, x), views)
-        slope = (rows(_scaled(rig, x + _STEP), views) - residual) / _STEP
-        known = np.isfinite(residual) & np.isfinite(slope)
-        if known.sum() < _LEAST_ROWS:
-            return None
-        residual, slope = np.where(known, residual, np.nan), np.where(known, slope, np.nan)
-        weight = _tukey(residual)
-        step = -float(np.nansum(weight * slope * residual)) / max(float(np.nansum(weight * slope**2)), 1e-12)
-        x = float(np.clip(x + np.clip(step, -0.1, 0.1), -_LARGEST, _LARGEST))
-        if abs(step) < 0.1 * _STEP:
-            break
-    return x, slope, residual, weight
-
-
-def _tukey(residual: Array) -> Array:
-    limit = _TUKEY * 1.4826 * max(float(np.nanmedian(np.abs(residual))), 1e-6)
-    return np.maximum(1 - (residual / limit) ** 2, 0.0) ** 2
-
-
-def _scaled(rig: CameraRig, log_factor: float) -> CameraRig:
-    return CameraRig(tuple(apply_parameters(c, np.r_[np.zeros(6), log_factor]) for c in rig))
+    x = best(views, 0.0)
+    moves = np.array([best([v for v in views if v != c], x) - x for c in views])
+    off, sd = abs(x), float(np.sqrt((1 - 1 / len(views)) * (moves**2).sum()))
+    if off > max(_FAULT_LOG_FACTOR, LIKELY * sd) and sd < KNOWN:
+        factor = np.exp(x)
+        text = (
+            f"All cameras: the views agree best if every focal length were {factor:.2f} times as long (sd "
+            f"{factor * sd:.2f}); as they are, the person comes out {factor:.2f} times as large"
+        )
+        cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
+        yield Finding("focal", (), text, cure, off, severity=INVALID if off > CERTAIN * sd else REVIEW)

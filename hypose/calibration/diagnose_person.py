@@ -14,12 +14,11 @@ from functools import cache
 import numpy as np
 
 from hypose.body.default_body import human
-from hypose.calibration.diagnose_masks import Alignment
-from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile
+from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
-from hypose.cameras.camera import CameraRig, triangulate
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.keypoint_check import sides_exchanged, undistorted
+from hypose.evidence.keypoint_check import sides_exchanged, triangulated
 from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
 from hypose.geometry import Array
 from hypose.tracking.subject import shape_from_keypoints
@@ -59,12 +58,12 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
     if not own > WRONG_SET:
         return None
     count, filled = len(names), np.asarray(np.isfinite(points_world).all(-1).any(0), dtype=bool)
-    found = []
-    for other, theirs in KEYPOINT_SETS.items():
-        # a shorter set may lie in the first slots of a longer one, the others empty
-        if tuple(theirs) == tuple(names) or len(theirs) > count or filled[len(theirs) :].any():
-            continue
-        found.append((_disorder(points_world[:, : len(theirs)], theirs), other))
+    # a shorter set may lie in the first slots of a longer one, the others empty
+    found = [
+        (_disorder(points_world[:, : len(theirs)], theirs), other)
+        for other, theirs in KEYPOINT_SETS.items()
+        if tuple(theirs) != tuple(names) and len(theirs) <= count and not filled[len(theirs) :].any()
+    ]
     best, other = min(found, default=(np.inf, ""))
     declared = next((k for k, v in KEYPOINT_SETS.items() if tuple(v) == tuple(names)), "given")
     if not best < min(RIGHT_SET, TELLS * own):
@@ -93,12 +92,11 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
     lengths: dict[tuple[str, str], Array] = {}
-    for a, b in _PAIRS:
-        if (a, b) in template and a in column and b in column:
-            d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
-            d = d[np.isfinite(d)]
-            if len(d) >= 3:
-                lengths[a, b] = d
+    for a, b in template:
+        d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
+        d = d[np.isfinite(d)]
+        if len(d) >= 3:
+            lengths[a, b] = d
     if len(lengths) < _LEAST_BONES:
         return float("nan")
     scatter = float(np.median([np.median(np.abs(d - np.median(d))) for d in lengths.values()]))
@@ -142,39 +140,49 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
     known = np.isfinite(along).all(1)
     if known.sum() < 3:
         return
-    up = along[known, 2]
+    up, mean = along[known, 2], _unit(along[known].mean(0))
     in_images = _upright_in_images(pixels, names)
     turned = (up < -_UPRIGHT).mean() > _WRONG_WAY_SHARE
+    lying = (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE
     if turned and in_images < -_UPRIGHT:
-        text = "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom"
-        cure = "write y as the image's height minus y (or flip the videos back, if they are turned, too)"
-        yield Finding("flipped", (), text, cure, 1.0)
+        yield Finding(
+            "flipped",
+            (),
+            "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom",
+            "write y as the image's height minus y (or flip the videos back, if they are turned, too)",
+        )
     elif turned:
-        text = (
+        yield Finding(
+            "up",
+            (),
             "All cameras: the person stands on the head in the calibration's world, and upright in the images: the "
-            "world's up is upside down"
+            "world's up is upside down",
+            "give world_up in recording.toml the opposite sign",
         )
-        yield Finding("up", (), text, "give world_up in recording.toml the opposite sign", 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and in_images > _UPRIGHT:
-        mean = _unit(along[known].mean(0))
-        axis = "xyz"[int(np.argmax(np.abs(mean)))]
-        if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
-            sign = "-" if mean["xyz".index(axis)] < 0 else ""
-            text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
-            cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
-            yield Finding("up", (), text, cure, 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and not in_images > _UPRIGHT:
-        # cameras mounted on their side show neither
-        text = "All cameras: the person lies in the calibration's world from beginning to end"
-        cure = "if they stand, set world_up in recording.toml to the axis along which they do"
-        yield Finding("lying", (), text, cure, 1.0, severity=REVIEW)
+    elif lying and not in_images > _UPRIGHT:  # cameras mounted on their side show neither
+        yield Finding(
+            "lying",
+            (),
+            "All cameras: the person lies in the calibration's world from beginning to end",
+            "if they stand, set world_up in recording.toml to the axis along which they do",
+            severity=REVIEW,
+        )
+    elif lying and np.abs(mean).max() > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
+        axis = _axis(mean)
+        yield Finding(
+            "up",
+            (),
+            f"All cameras: the person stands along the world's {axis} axis, not along z",
+            f"set world_up in recording.toml so that what is now {axis} points up",
+        )
     if not turned and sides_exchanged(points_world, names):
-        text = (
+        yield Finding(
+            "sides",
+            (),
             "All cameras: the person's left and right are exchanged (toes or nose point backwards): "
-            "mirrored images, exchanged cameras, or the sides' names"
+            "mirrored images, exchanged cameras, or the sides' names",
+            "mirror the videos back, or check keypoint_set in recording.toml",
         )
-        cure = "mirror the videos back, or check keypoint_set in recording.toml"
-        yield Finding("sides", (), text, cure, 1.0)
 
 
 def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
@@ -184,11 +192,16 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
     mean = cameras_up(rig)
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:
-        k = int(np.argmax(np.abs(mean)))
-        axis = ("-" if mean[k] < 0 else "") + "xyz"[k]
+        axis = _axis(mean)
         text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
         cure = f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way"
-        yield Finding("up", (), text, cure, 1.0)
+        yield Finding("up", (), text, cure)
+
+
+def _axis(direction: Array) -> str:
+    """Name the axis of the world that is nearest to a direction (3,), such as "-x"."""
+    k = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[k] < 0 else "") + "xyz"[k]
 
 
 def cameras_up(rig: CameraRig) -> Array:
@@ -201,15 +214,11 @@ def cameras_up(rig: CameraRig) -> Array:
 
 def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
     """Compute the mean over views and frames of +1 (shoulders above ankles) and -1 (below); NaN without data."""
-    column = {n: k for k, n in enumerate(names)}
-    signs = []
-    for side in ("left", "right"):
-        a, b = column.get(f"{side}_shoulder"), column.get(f"{side}_ankle")
-        if a is not None and b is not None:
-            seen = (pixels[..., a, 2] > 0.3) & (pixels[..., b, 2] > 0.3)
-            signs.append(np.sign(pixels[..., b, 1] - pixels[..., a, 1])[seen])
-    found = np.concatenate(signs) if signs else np.zeros(0)
-    return float(found.mean()) if len(found) else float("nan")
+    at = {n: k for k, n in enumerate(names)}
+    pairs = [(at.get(f"{side}_shoulder", -1), at.get(f"{side}_ankle", -1)) for side in ("left", "right")]
+    ends = pixels[:, :, [pair for pair in pairs if min(pair) >= 0]]
+    signs = np.sign(ends[..., 1, 1] - ends[..., 0, 1])[(ends[..., 2] > 0.3).all(-1)]
+    return float(signs.mean()) if len(signs) else float("nan")
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
@@ -246,7 +255,6 @@ class ViewReport:
     left_out_px: median distance of its key points from the triangulation of the other views.
     tangency_px: median disagreement of its silhouette's tangent planes with the other views.
     change: how far a refinement moves the camera.
-    alignment: alignment of its key points with its masks.
     """
 
     name: str
@@ -254,7 +262,6 @@ class ViewReport:
     left_out_px: float = float("nan")
     tangency_px: float = float("nan")
     change: CameraChange | None = None
-    alignment: Alignment | None = None
 
 
 @dataclass(frozen=True)
@@ -285,45 +292,45 @@ def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) 
     frame_rate: frames/s, where no file states it.
     Returns: an iterator over findings.
     """
-    if not clips:
-        return
-    for camera, clip in zip(rig, clips, strict=True):
-        if clip.size is None or tuple(clip.size) == tuple(camera.size):
-            continue
-        (w, h), (cw, ch) = clip.size, camera.size
-        text = f"{camera.name}: its images are {w} x {h} px, it is calibrated for {cw} x {ch} px"
-        fx, fy = w / cw, h / ch
-        if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
-            yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
-        elif clip.accepted:
-            words = f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
-            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), severity=REVIEW)
-        elif abs(fx / fy - 1) < 0.002:
-            cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
-            yield Finding(
-                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), severity=REVIEW
-            )
-        else:
-            cure = (
-                "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal "
-                "point and the size in the calibration"
-            )
-            words = f": scaled by {fx:.4f} x {fy:.4f}, or cut by {cw - w} x {ch - h} px"
-            yield Finding("size", (camera.name,), text + words, cure, abs(fx / fy - 1))
-    rates = [c.frame_rate for c in clips if c.frame_rate]
-    usual = float(np.median(rates)) if rates else frame_rate
-    for camera, clip in zip(rig, clips, strict=True):
-        if clip.frame_rate and abs(clip.frame_rate / usual - 1) > 0.005:
+    usual = float(np.median([c.frame_rate for c in clips if c.frame_rate] or [frame_rate]))
+    most = int(np.median([c.frames for c in clips if c.frames] or [0]))
+    for camera, clip in zip(rig, clips, strict=bool(clips)):
+        if clip.size is not None and tuple(clip.size) != tuple(camera.size):
+            yield _wrong_size(camera, clip.size, clip.accepted)
+        off = abs((clip.frame_rate or usual) / usual - 1)
+        if off > 0.005:
             text = f"{camera.name}: {clip.frame_rate:g} frames/s, the other views have {usual:g}"
             cure = f"convert it to {usual:g} frames/s (ffmpeg -i IN -r {usual:g} OUT)"
-            yield Finding("frame_rate", (camera.name,), text, cure, abs(clip.frame_rate / usual - 1))
-    counts = [c.frames for c in clips if c.frames]
-    most = int(np.median(counts)) if counts else 0
-    for camera, clip in zip(rig, clips, strict=True):
+            yield Finding("frame_rate", (camera.name,), text, cure, off)
         if clip.frames and abs(clip.frames - most) > max(2, 0.01 * most):
             text = f"{camera.name}: {clip.frames} frames, the other views have {most}"
             cure = "copy the video again if it was cut off; else check with hypose sync that all started together"
             yield Finding("frame_count", (camera.name,), text, cure, float(abs(clip.frames - most)))
+
+
+def _wrong_size(camera: Camera, size: tuple[int, int], accepted: bool) -> Finding:
+    """Make the finding that images have another size, px, than the camera is calibrated for.
+
+    accepted: the user has stated that the images were only stretched.
+    """
+    (w, h), (cw, ch) = size, camera.size
+    fx, fy = w / cw, h / ch
+    text = f"{camera.name}: its images are {w} x {h} px, it is calibrated for {cw} x {ch} px"
+    if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
+        return Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back")
+    if accepted:
+        text += f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
+        return Finding("size", (camera.name,), text, "nothing", abs(fx / fy - 1), severity=REVIEW)
+    if abs(fx / fy - 1) < 0.002:
+        text += f": scaled to {100 * fx:.0f} %"
+        cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
+        return Finding("size", (camera.name,), text, cure, abs(fx - 1), severity=REVIEW)
+    text += f": scaled by {fx:.4f} x {fy:.4f}, or cut by {cw - w} x {ch - h} px"
+    cure = (
+        "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal point and "
+        "the size in the calibration"
+    )
+    return Finding("size", (camera.name,), text, cure, abs(fx / fy - 1))
 
 
 def person_findings(
@@ -339,10 +346,7 @@ def person_findings(
     """
     if len(rig) < 2:
         return
-    uv, confidence = undistorted(rig, pixels)
-    n = len(rig)
-    points, _ = triangulate(rig, uv.reshape(n, -1, 2), np.where(confidence > 0.3, confidence, 0).reshape(n, -1))
-    world = points.reshape(*pixels.shape[1:3], 3)
+    world = triangulated(rig, pixels)
     other = wrong_set(world, names)
     if other is not None:
         yield other
@@ -365,29 +369,23 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
     o: limits.
     Returns: an iterator over findings.
     """
+    off = abs(float(np.log(found / (height or 1.7))))
+    share, severity = abs(found / height - 1) if height is not None else 0.0, REVIEW
     if not o.heights[0] <= found <= o.heights[1]:
-        best = "the scale of the calibration is wrong"
-        for factor, words in UNIT_ERRORS:
-            if any(1.3 <= found * f <= 2.1 for f in (factor, 1 / factor)):
-                best = words
-                break
-        text = f"All cameras: the person would be {found:.3g} m tall: {best}"
+        likely = (words for factor, words in UNIT_ERRORS if any(1.3 <= found * f <= 2.1 for f in (factor, 1 / factor)))
+        text = f"would be {found:.3g} m tall: {next(likely, 'the scale of the calibration is wrong')}"
         cure = "set calibration_unit in recording.toml, or correct the translations and the board's square size"
-        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))))
-    elif height is not None and abs(found / height - 1) > o.height_share:
-        text = f"All cameras: the person would be {found:.2f} m tall, {height:.2f} m is known"
+        severity = INVALID
+    elif share > o.height_share:
+        text = f"would be {found:.2f} m tall, {height:.2f} m is known"
         cure = "check the board's square size; hypose check --refine keeps the known height"
-        yield Finding("unit", (), text, cure, abs(found / height - 1))
-    elif height is not None and abs(found / height - 1) > o.height_doubt:
-        text = (
-            f"All cameras: the person comes out {found:.2f} m tall, {height:.2f} m is known: joints are off by that "
-            "share of their distances"
-        )
+        severity = INVALID
+    elif share > o.height_doubt:
+        text = f"comes out {found:.2f} m tall, {height:.2f} m is known: joints are off by that share of their distances"
         cure = "check the board's square size and the focal lengths"
-        yield Finding("unit", (), text, cure, abs(found / height - 1), severity=REVIEW)
     elif height is None and not o.usual_heights[0] <= found <= o.usual_heights[1]:
-        text = (
-            f"All cameras: the person comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
-        )
+        text = f"comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
         cure = "give the person's height if it is right (--height), else check the board's square size"
-        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), severity=REVIEW)
+    else:
+        return
+    yield Finding("unit", (), f"All cameras: the person {text}", cure, off, severity=severity)

@@ -5,6 +5,7 @@ Gross faults are found by trial (`hypose.evidence.keypoint_check`), with key poi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -15,15 +16,21 @@ from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
     adjust,
-    bent,
     changes,
     gauge,
     point_residual,
     transform_rig,
 )
-from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
+from hypose.calibration.sync_motion import (
+    Curves,
+    at_the_end,
+    keypoint_curves,
+    offsets_within,
+    solve_offsets,
+    solve_widely,
+)
 from hypose.calibration.synchronisation import point_sd
-from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoint_check import SeenT, Trial, best_trial, disagreement, sizes, trials, undistorted
 from hypose.geometry import Array, transform
@@ -143,7 +150,8 @@ def certain_delays(
         return np.zeros(n_views), np.zeros(n_views)
     found = _by_first_of_two(offsets.frames)
     certain = (offsets.gain >= gain) & (np.abs(found) >= np.maximum(least, o.late_sd * offsets.sd))
-    return np.where(certain, found, 0.0), np.where(farther(offsets, found, reach), np.inf, offsets.sd)
+    ended = at_the_end(offsets, reach) & (np.abs(found) > 0.5 * reach)
+    return np.where(certain, found, 0.0), np.where(ended, np.inf, offsets.sd)
 
 
 def _contradicted(
@@ -210,7 +218,7 @@ _MOST_FRAMES = 30
 _COMMON = 60  # points that two views have to see together to judge each other
 
 
-def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Finding], tuple[CameraChange, ...]] | None:
+def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Finding], tuple[CameraChange, ...] | None]:
     """Check the camera poses by a refinement on some frames and its effect on others.
 
     pixels: (C, T, K, 3) synchronous distorted px, and confidence.
@@ -219,66 +227,108 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Fin
     """
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
-    ideal = rig.pinhole()
     used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(np.int64))
-    rest = np.setdiff1d(np.arange(frames), used).astype(np.int64)
-    rest = rest if len(rest) else used
+    rest = np.setdiff1d(np.arange(frames), used)
 
     def of(which: NDArray[np.int64]) -> tuple[Array, Array]:
         return uv[:, which].reshape(c, -1, 2), confidence[:, which].reshape(c, -1)
 
     try:
-        found = adjust(ideal, *of(used))
-        lens = adjust(ideal, *of(used), radial=True) if c > 2 else None
+        found = adjust(rig.pinhole(), *of(used))
+        lens = adjust(rig.pinhole(), *of(used), radial=True)
     except (EvidenceError, np.linalg.LinAlgError):
-        return None
-    old_from_new = gauge(found.rig, ideal, found.points)
+        return [], None
+    old_from_new = gauge(found.rig, rig, found.points)
     refined = transform_rig(found.rig, old_from_new)
     size = sizes(pixels)
     person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
-    before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
-    moved = changes(ideal, refined, transform(old_from_new, found.points))
-    findings: list[Finding] = []
+    judged = of(rest if len(rest) else used)
+    before, after = (float(np.nanmedian(point_residual(r, *judged, min_confidence=0.3))) for r in (rig, refined))
+    moved = changes(rig, refined, transform(old_from_new, found.points))
     far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
     if min(before, after) > o.scatter * person or (far and after > AGREE * person):
         return [_no_one_person(rig, pixels, before, after)], moved
-    if lens is not None:
-        findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
-    if not any(f.fault for f in findings) and after < o.extrinsics * before and before - after > o.gain * person:
-        own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
-        against = _witnesses(confidence)
-        unsure = []
-        for k, m in enumerate(moved):
-            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a part of the movement always goes to the other cameras
-                if against[k] < 2:
-                    unsure.append(k)
-                    continue
-                text = (
-                    f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
-                    f"{m.image_px:.0f} px in its image; the key points miss each other by {before:.1f} px, after a "
-                    f"refinement by {after:.1f} px (frames not used)"
-                )
-                cure = "run hypose check --refine and use the calibration that it writes"
-                findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
-        if unsure and not any(f.fault for f in findings):
-            findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
+    findings = _wrong_lenses(rig, lens, *judged, after, person, o) if c > 2 else []
+    if any(f.fault for f in findings) or after >= o.extrinsics * before or before - after <= o.gain * person:
+        return findings, moved
+    missed = (
+        f"the key points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
+    )
+    px = np.array([m.image_px for m in moved])
+    own = px / np.where(size > 0, size, person)
+    off = own > max(o.moved, 0.2 * np.nanmax(own))  # a part of the movement always goes to the other cameras
+    seen = (confidence > 0.3).reshape(c, -1).astype(int)
+    common = (seen @ seen.T >= _COMMON) & ~np.eye(c, dtype=bool)
+    sure = common.sum(1) > 1
+    for m in itertools.compress(moved, off & sure):
+        text = (
+            f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
+            f"{m.image_px:.0f} px in its image; {missed}"
+        )
+        cure = "run hypose check --refine and use the calibration that it writes"
+        findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
+    unsure = off & ~sure
+    if unsure.any() and not any(f.fault for f in findings):
+        names = tuple(itertools.compress(rig.names, unsure | common[unsure].any(0)))
+        two = "they do not agree, and two views alone cannot show which of them is wrong"
+        text = f"{' and '.join(names)}: {two}; {missed}"
+        cure = "film with a third camera, or run hypose check --refine"
+        findings.append(Finding("extrinsics", names, text, cure, max(itertools.compress(px, unsure))))
     return findings, moved
 
 
-def odd_view_out(rig: CameraRig, disagree: Callable[[list[int]], float], limit: float) -> tuple[int, float] | None:
+def _wrong_lenses(
+    rig: CameraRig, lens: PointAdjustment, uv: Array, confidence: Array, without: float, person: float, o: Limits
+) -> list[Finding]:
+    """Find cameras whose lens distortion differs from their coefficients.
+
+    lens: refinement with a radial term per camera.
+    uv, confidence: (C, N, 2) undistorted px and (C, N), of frames that the refinement did not use.
+    without: median residual of these frames after a refinement without radial terms, px.
+    person: size of the person, px.
+    o: limits.
+    Returns: faults, or notes where these frames hardly fit better with the terms, because with many points a term can
+        be significant without any effect.
+    """
+    straight = np.stack([camera.undistort_points(p) for camera, p in zip(lens.rig, uv, strict=True)])
+    points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
+    away = np.linalg.norm(np.stack([camera.project(points) for camera in lens.rig]) - uv, axis=-1)
+    freed = float(np.nanmedian(away[confidence > 0.3]))
+    wrong, out = freed <= o.lens_gain * without, list[Finding]()
+    for c, camera in enumerate(lens.rig):
+        k1, focal = float(camera.distortion[0]), camera.K[0, 0]
+        radius = np.linalg.norm(uv[c][confidence[c] > 0.3] - camera.K[:2, 2], axis=1) / focal
+        effect = abs(k1) * float(np.percentile(np.r_[radius, 0.0], 90)) ** 3 * focal
+        if abs(k1) > o.lens_z * lens.radial_sd[c] and effect > o.lens_px * person:
+            text, cure = "other lens coefficients would fit as well", "nothing, if the lenses were calibrated"
+            if wrong:
+                text = f"its lens coefficients do not fit: a radial term of {k1:+.2f} is missing"
+                cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
+            text = (
+                f"{rig[c].name}: {text}, {effect:.1f} px where the person is; with them the residual is {freed:.1f} px"
+            )
+            text += f" instead of {without:.1f} px"
+            out.append(Finding("distortion", (rig[c].name,), text, cure, effect, INVALID if wrong else REVIEW))
+    return out
+
+
+def odd_view_out(
+    rig: CameraRig, disagree: Callable[[CameraRig, list[int]], float], limit: float
+) -> tuple[int, float] | None:
     """Find the only view without which the other views agree.
 
-    disagree: function that gives the disagreement of the views with these indices.
+    disagree: function of some of the cameras and their indices that gives their disagreement.
     limit: largest disagreement of views that agree.
     Returns: index of the view, and the disagreement of the others; None with fewer than four views, or where no view or
         several views explain the disagreement.
     """
-    views = range(len(rig)) if len(rig) > 3 else ()
-    without = [disagree([k for k in range(len(rig)) if k != c]) for c in views]
-    c = int(np.argmin(without)) if without else -1
-    if c < 0 or not without[c] < limit or sum(w < max(limit, 2 * without[c]) for w in without) > 1:
+    views = range(len(rig))
+    rest = [[k for k in views if k != c] for c in (views if len(rig) > 3 else ())]
+    left = [disagree(CameraRig(tuple(rig[k] for k in kept)), kept) for kept in rest] or [np.inf]
+    c = int(np.argmin(left))
+    if not left[c] < limit or sum(w < max(limit, 2 * left[c]) for w in left) > 1:
         return None
-    return c, without[c]
+    return c, left[c]
 
 
 def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
@@ -288,7 +338,7 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
     pixels: (C, T, K, 3) distorted px, and confidence.
     before, after: median residual before and after all cameras were moved, px.
     """
-    odd = odd_view_out(rig, lambda kept: disagreement(CameraRig(tuple(rig[k] for k in kept)), pixels[kept]), AGREE)
+    odd = odd_view_out(rig, lambda cameras, kept: disagreement(cameras, pixels[kept]), AGREE)
     said = (
         f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is moved "
         "(frames not used)"
@@ -303,106 +353,3 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
         "else calibrate this camera again, or leave the view out"
     )
     return Finding("scatter", (name,), text, cure, before)
-
-
-def _witnesses(confidence: Array) -> NDArray[np.int64]:
-    """Count for each view (C,) the other views with enough common points to judge it."""
-    seen = (confidence > 0.3).reshape(len(confidence), -1)
-    common = (seen[:, None] & seen[None]).sum(-1)
-    np.fill_diagonal(common, 0)
-    return (common >= _COMMON).sum(1)
-
-
-def _undecided(
-    rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
-) -> Finding:
-    """Make the finding that pairs of cameras disagree, where it is unknown which camera is wrong.
-
-    views: indices of the cameras that moved.
-    confidence: (C, T, K) confidence of the key points.
-    before, after: median residual before and after the refinement, px.
-    image_px: largest movement of the person in an image by the refinement, px.
-    """
-    seen = (confidence > 0.3).reshape(len(confidence), -1)
-    partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
-    names = tuple(rig.names[k] for k in sorted({*views, *partners}))
-    text = (
-        f"{' and '.join(names)}: they do not agree, and two views alone cannot show which of them is wrong; the key "
-        f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
-    )
-    return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
-
-
-def _residual(rig: CameraRig, uv: Array, confidence: Array) -> float:
-    return float(np.nanmedian(point_residual(rig, uv, confidence, min_confidence=0.3)))
-
-
-def _lenses(
-    rig: CameraRig,
-    ideal: CameraRig,
-    lens: PointAdjustment,
-    uv: Array,
-    confidence: Array,
-    rest: NDArray[np.int64],
-    plain: PointAdjustment,
-    person: float,
-    o: Limits,
-) -> list[Finding]:
-    """Find cameras whose lens distortion differs from their coefficients.
-
-    rig, ideal: the cameras with and without distortion.
-    lens, plain: refinement with and without a radial term per camera.
-    uv, confidence: (C, T, K, 2) undistorted px and (C, T, K).
-    rest: frames that the refinements did not use.
-    person: size of the person, px.
-    o: limits.
-    Returns: faults where the other frames fit better with a radial term per camera, else at most one note.
-    Why: with many points a term can be significant without any effect.
-    """
-    c, filmed = len(rig), uv[:, rest].reshape(len(rig), -1, 2)
-    seen = confidence[:, rest].reshape(c, -1)
-    without, freed = _residual(plain.rig, filmed, seen), _bent_residual(lens, filmed, seen)
-    off, largest = list[str](), 0.0
-    out = []
-    for n, camera in enumerate(ideal):
-        radius = np.linalg.norm((uv[n][confidence[n] > 0.3] - camera.K[:2, 2]) / camera.K[0, 0], axis=1)
-        far = float(np.percentile(radius, 90)) if len(radius) else 0.0
-        effect = abs(lens.radial[n]) * far**3 * camera.K[0, 0]
-        if abs(lens.radial[n]) > o.lens_z * lens.radial_sd[n] and effect > o.lens_px * person:
-            off.append(rig[n].name)
-            largest = max(largest, effect)
-            text = (
-                f"{camera.name}: its lens coefficients do not fit: a radial term of {lens.radial[n]:+.2f} is missing, "
-                f"{effect:.1f} px where the person is; the residual falls from {without:.1f} to {freed:.1f} px"
-            )
-            cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
-            out.append(Finding("distortion", (rig[n].name,), text, cure, effect))
-    if not off or freed <= o.lens_gain * without:
-        return out
-    text = (
-        f"{', '.join(off)}: other lens coefficients would fit as well, but the views would hardly agree better "
-        f"({freed:.1f} instead of {without:.1f} px)"
-    )
-    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, severity=REVIEW)]
-
-
-def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:
-    """Compute the median distance, px, between detections (C, N, 2) and projections with the estimated radial terms.
-
-    Why: the terms are applied to the projections, because pixels without distortion would have another scale and could
-        not be compared.
-    """
-    straight = np.stack([_bent_back(k, pixels[n], lens.radial[n]) for n, k in enumerate(lens.rig)])
-    points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
-    r = np.stack([bent(k, k.project_pinhole(points), lens.radial[n]) for n, k in enumerate(lens.rig)]) - pixels
-    return float(np.nanmedian(np.where(confidence > 0.3, np.linalg.norm(r, axis=-1), np.nan)))
-
-
-def _bent_back(camera: Camera, pixels: Array, radial: float) -> Array:
-    """Remove the radial term from pixels."""
-    centre, focal = camera.K[:2, 2], camera.K[0, 0]
-    x = (pixels - centre) / focal
-    y = x.copy()
-    for _ in range(5):
-        y = x / (1 + radial * (y**2).sum(-1, keepdims=True))
-    return centre + y * focal

@@ -41,12 +41,14 @@ class Limits:
     gross: disagreement of a view with the others above which gross faults are tried, share.
     gross_lens: disagreement above which other lens conventions are tried, share.
     gross_cured: share of the disagreement that may remain after the cure.
+    lens_z: radial term, in its standard deviations.
+    lens_gain: share of the residual that may remain after the radial term is freed.
+    lens_px: effect of the radial term at the person, share.
     largest_lag: largest delay that is searched first, frames.
     late: delay from which a view counts as late, frames.
     late_sd: delay from which a view counts as late, in standard deviations of the delay.
     late_gain: least gain of half the log likelihood for a late view.
-    keypoint_lag_sd: lag of all views' key points against the masks, in its standard deviations.
-    own_lag_sd: lag of one view's key points against the masks, in its standard deviations.
+    keypoint_lag_sd: largest standard deviation of a lag of key points against the masks that counts, frames.
     shift: shift of a view's image, share.
     shift_sd: shift of a view's image, in its standard deviations.
     shift_spread: shift of a view's image, as a multiple of the spread of the other views' shifts.
@@ -55,9 +57,6 @@ class Limits:
     scatter: share that may remain when only camera poses were wrong and are refined (detectors reach 0.01 to 0.02).
     moved: movement of the person in a camera's image by the refinement, share.
     gain: smallest decrease of the residual, share.
-    lens_z: radial term, in its standard deviations.
-    lens_gain: share of the residual that may remain after the radial term is freed.
-    lens_px: effect of the radial term at the person, share.
     heights: range of a person's height, m.
     usual_heights: range of nearly all heights, m.
     height_share: relative difference from the known height that is a fault.
@@ -68,12 +67,14 @@ class Limits:
     gross: float = 0.03
     gross_lens: float = 0.012
     gross_cured: float = 0.45
+    lens_z: float = 4.8
+    lens_gain: float = 0.97
+    lens_px: float = 0.006
     largest_lag: float = 12.0
     late: float = 0.4
     late_sd: float = 4.0
     late_gain: float = 12.0
-    keypoint_lag_sd: float = 4.0
-    own_lag_sd: float = 8.0
+    keypoint_lag_sd: float = 0.25
     shift: float = 0.006
     shift_sd: float = 3.3
     shift_spread: float = 2.3
@@ -82,9 +83,6 @@ class Limits:
     scatter: float = 0.035
     moved: float = 0.012
     gain: float = 0.001
-    lens_z: float = 4.8
-    lens_gain: float = 0.97
-    lens_px: float = 0.006
     heights: tuple[float, float] = (1.0, 2.3)
     usual_heights: tuple[float, float] = (1.4, 2.0)
     height_share: float = 0.12
@@ -181,11 +179,9 @@ def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
     for c in _cameras(depths):
         w, h = depths[0].rig[c].size
         shares = list[float]()
-        for depth in depths:
-            if depth.usable[c]:
-                measured = (depth.maps[c, :h, :w] > 0).astype(np.uint8)
-                whole = cv2.erode(measured, np.ones((3, 3), np.uint8), borderValue=1)
-                shares.append(1 - float(whole.sum()) / max(1, int(measured.sum())))
+        for measured in ((depth.maps[c, :h, :w] > 0).astype(np.uint8) for depth in depths if depth.usable[c]):
+            whole = cv2.erode(measured, np.ones((3, 3), np.uint8), borderValue=1)
+            shares.append(1 - float(whole.sum()) / max(1, int(measured.sum())))
         share = float(np.median(shares))
         if share > _RIDDLED:
             name = depths[0].rig.names[c]
@@ -258,24 +254,17 @@ def seen_past(depth: Depth) -> tuple[int, int]:
     return looked, past
 
 
-def _share(depths: Sequence[Depth]) -> float:
-    """Compute the share of points beyond which another camera sees; its upper third over frames, NaN with too few
-    frames.
-
-    Why: a person who passes the middle of the scene is there even with wrong cameras.
-    """
-    counted = [(past, looked) for looked, past in map(seen_past, depths) if looked >= _POINTS]
-    return float(np.quantile([p / n for p, n in counted], 2 / 3)) if len(counted) >= _FRAMES else float("nan")
-
-
 def _cameras(depths: Sequence[Depth]) -> list[int]:
     """List the indices of the views that are depth cameras."""
     return np.flatnonzero(np.any([d.usable for d in depths], axis=0)).tolist()
 
 
 def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
-    """Find depth cameras that see past the person whom another camera sees."""
-    share = _share(depths)
+    """Find depth cameras that see past the person whom another camera sees, in the upper third of the frames, because a
+    person who passes the middle of the scene is there even with wrong cameras.
+    """
+    shares = [past / looked for looked, past in map(seen_past, depths) if looked >= _POINTS]
+    share = float(np.quantile(shares, 2 / 3)) if len(shares) >= _FRAMES else 0.0
     if share > _REFUTED:
         names = tuple(depths[0].rig.names[c] for c in _cameras(depths))
         text = (

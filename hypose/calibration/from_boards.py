@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.board_fit import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
 from hypose.calibration.refine_points import transform_rig
 from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
@@ -51,13 +53,9 @@ def floor_likelihood(
     """
     base = camera_from_board[c]
     one = _from_above(images[c], replace(cameras[c], camera_from_world=base), board)
-    scores = []
-    for motion in (d_from_c, other):
-        two = _from_above(images[d], replace(cameras[d], camera_from_world=motion @ base), board)
-        scores.append(_correlation(one, two))
-    if not np.isfinite(scores).all():
-        return 1.0
-    return float((1 - scores[1]) / max(1 - scores[0], 1e-6))
+    turned = (replace(cameras[d], camera_from_world=motion @ base) for motion in (d_from_c, other))
+    scores = np.array([_correlation(one, _from_above(images[d], camera, board)) for camera in turned])
+    return float((1 - scores[1]) / max(1 - scores[0], 1e-6)) if np.isfinite(scores).all() else 1.0
 
 
 def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -98,14 +96,10 @@ def _correlation(
     mask = one[1] & two[1]
     if mask.mean() < _MIN_SHARE:
         return float("nan")
-    weight = mask.astype(np.float32)
-    spread = cv2.GaussianBlur(weight, (0, 0), 24)
-    parts = []
-    for image, _ in (one, two):
-        smooth = cv2.GaussianBlur(image, (0, 0), 2.5)
-        local = cv2.GaussianBlur(smooth * weight[..., None], (0, 0), 24) / np.maximum(spread, 1e-3)[..., None]
-        parts.append((smooth - local)[mask])
-    a, b = parts
+    weight = mask.astype(np.float32)[..., None]
+    spread = np.maximum(cv2.GaussianBlur(weight, (0, 0), 24), 1e-3)[..., None]
+    smooth = (cv2.GaussianBlur(image, (0, 0), 2.5) for image in (one[0], two[0]))
+    a, b = ((s - cv2.GaussianBlur(s * weight, (0, 0), 24) / spread)[mask] for s in smooth)
     a, b = a - a.mean(0), b - b.mean(0)
     norm = np.sqrt((a**2).sum() * (b**2).sum())
     return float((a * b).sum() / norm) if norm > 1e-6 else float("nan")
@@ -150,15 +144,12 @@ def floor_frame(
     best: list[int] = []
     run: list[int] = []
     for f in frames:
-        flat = float(-boards[f][:3, 2] @ up) > np.cos(_FLAT)
-        if run and flat:
-            motion = se3_inverse(boards[run[0]]) @ boards[f]
-            moved = np.linalg.norm(transform(boards[run[0]], middle[None]) - transform(boards[f], middle[None]))
-            if moved > _STILL_M or np.linalg.norm(so3_log(motion[:3, :3])) > _STILL_RAD:
-                run = []
-        run = [*run, f] if flat else []
-        if len(run) > len(best):
-            best = list(run)
+        motion = np.eye(4) if not run else se3_inverse(boards[run[0]]) @ boards[f]
+        moved = np.linalg.norm(transform(motion, middle[None]) - middle)  # the same in the board's frame
+        if moved > _STILL_M or np.linalg.norm(so3_log(motion[:3, :3])) > _STILL_RAD:
+            run = []
+        run = [*run, f] if float(-boards[f][:3, 2] @ up) > np.cos(_FLAT) else []
+        best = max(best, run, key=len)
     if len(best) >= _STILL_FRAMES:
         return best[len(best) // 2], (
             f"The floor is where the board lies still in frames {best[0]} to {best[-1]}; if it lay on something else, "
@@ -330,19 +321,15 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
     all_views: these and the results in the lens pictures, for the contact sheet.
     Raises: BoardsNotFound where a camera saw none; the message says what was found instead.
     """
-    missing = [v for v in views if not v.sightings]
-    if not missing:
+    found = {v.name: diagnose(v, board) for v in views if not v.sightings}
+    if not found:
         return
-    said, other = [], False
-    for v in missing:
-        why = diagnose(v, board)
-        other |= "instead" in why
-        said.append(v.summary() + (f"; {why}" if why else ""))
-    rest = [f"{v.name}: found in {len(v.sightings)} pictures" for v in views if v.sightings]
+    said = [v.summary() + (f"; {found[v.name]}" if found[v.name] else "") for v in views if v.name in found]
+    said += [f"{v.name}: found in {len(v.sightings)} pictures" for v in views if v.sightings]
     advice = "check the pattern, light and focus, and that the whole board is in the picture"
-    if other:
+    if any("instead" in why for why in found.values()):
         advice = "check the pattern size: count the corners where four squares meet, not the squares"
-    raise BoardsNotFound(f"No {board} was found. {'. '.join([*said, *rest])}. Next: {advice}.", all_views)
+    raise BoardsNotFound(f"No {board} was found. {'. '.join(said)}. Next: {advice}.", all_views)
 
 
 def _lens(
@@ -359,19 +346,16 @@ def _lens(
     """
     view = views[i]
     if o.lenses is not None:
-        given = o.lenses.select([view.name])[0] if view.name in o.lenses.names else None
-        if given is None and len(o.lenses) == len(views) and not set(o.lenses.names) & {v.name for v in views}:
-            given = replace(o.lenses[i], name=view.name)
-        if given is None:
-            o.lenses.select([view.name])  # its error lists the existing cameras
-        assert given is not None
+        names = set(o.lenses.names)
+        by_order = len(names) == len(views) and not names & {v.name for v in views}
+        # the error of `select` lists the existing cameras
+        given = replace(o.lenses[i], name=view.name) if by_order else o.lenses.select([view.name])[0]
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
         return CalibratedLens(camera, float(np.median(errors)), not o.refine_lenses)
-    seen = lens_views[i].sightings if lens_views else view.sightings
-    size = lens_views[i].size if lens_views else view.size
-    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye)
-    if size == view.size:
+    shown = lens_views[i] if lens_views else view
+    lens = calibrate_lens(view.name, shown.sightings, board, shown.size, fisheye=o.fisheye)
+    if shown.size == view.size:
         return lens
     return replace(lens, camera=_scaled(lens.camera, view, "those for its lens"), given=True)
 
@@ -404,21 +388,18 @@ def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], boa
     views: results of the search, with the boards of each camera.
     lenses: lens of each camera.
     """
-    pictures: dict[tuple[int, int], Image] = {}
+    cameras = [n.camera for n in lenses]
 
+    @cache
     def picture(c: int, frame: int) -> Image:
-        if (c, frame) not in pictures:
-            with open_video(views[c].path) as reader:
-                pictures[c, frame] = np.asarray(reader.read(frame + views[c].lag), dtype=np.uint8)
-        return pictures[c, frame]
+        with open_video(views[c].path) as reader:
+            return np.asarray(reader.read(frame + views[c].lag), dtype=np.uint8)
 
     def choose(c: int, d: int, d_from_c: Array, other: Array) -> float:
-        seen = [views[i].sightings for i in (c, d)]
-        frame = next(f for f in seen[0] if f in seen[1])
-        cameras = [n.camera for n in lenses]
-        images = {i: picture(i, frame) for i in (c, d)}
-        poses = {i: board_poses(cameras[i], s[frame], board.points)[0][0] for i, s in zip((c, d), seen, strict=True)}
-        return floor_likelihood(images, cameras, poses, board, c, d, d_from_c, other)
+        seen = {i: views[i].sightings for i in (c, d)}
+        frame = next(f for f in seen[c] if f in seen[d])
+        poses = {i: board_poses(cameras[i], s[frame], board.points)[0][0] for i, s in seen.items()}
+        return floor_likelihood({i: picture(i, frame) for i in seen}, cameras, poses, board, c, d, d_from_c, other)
 
     return choose
 
@@ -451,10 +432,7 @@ def _warnings(fit: RigCalibration, lenses: Sequence[CalibratedLens], views: Sequ
                 f"{name}: the board covered {100 * views[c].coverage:.0f} % of the picture; outside, the lens is a "
                 "guess."
             )
-    dropped: dict[int, int] = {}
-    for c, _ in fit.dropped:
-        dropped[c] = dropped.get(c, 0) + 1
-    for c, n in dropped.items():
+    for c, n in Counter(c for c, _ in fit.dropped).items():
         kept = len(fit.sightings[c])
         if n > 0.3 * (n + kept):
             out.append(

@@ -238,10 +238,10 @@ class _Search:
         velocity = np.where(both, (after - before)[..., :2] / (2 * _STEP), 0.0)
         moment, kind = np.divmod(np.flatnonzero(keep), len(self.names))
         labels = np.stack([moment, kind, limbs_of(self.names)[kind]], 1)
-        sds = uncertainty(bundle, list(new), found.radial, points[keep], velocity, labels)
-        lenses = zip(new, self.lenses, found.radial, strict=True)
-        bent = tuple(replace(c, distortion=np.r_[k, 0.0, 0, 0, 0] if free else d.distortion) for c, d, k in lenses)
-        return CameraRig(bent), points.reshape(len(frames), -1, 3), found.after, sds
+        sds = uncertainty(bundle, points[keep], velocity, labels)
+        known = zip(new, self.lenses, strict=True)
+        new = new if free else CameraRig(tuple(replace(c, distortion=d.distortion) for c, d in known))
+        return new, points.reshape(len(frames), -1, 3), found.median_px, sds
 
     # ---- checks of the result
 
@@ -401,32 +401,32 @@ def limbs_of(names: Sequence[str]) -> Array:
     return np.array([next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in names])
 
 
-def uncertainty(
-    bundle: PointBundle, cameras: Sequence[Camera], radial: Array, points: Array, velocity: Array, labels: Array
-) -> Uncertainty:
+def uncertainty(bundle: PointBundle, points: Array, velocity: Array, labels: Array) -> Uncertainty:
     """Compute the uncertainty of cameras and offsets at a solution of `adjust`, as a sandwich covariance with clusters.
 
-    bundle: the least-squares problem.
-    radial: (C,) radial term of each camera.
+    bundle: the least-squares problem, which starts at the solution.
     points: (N, 3) m.
     velocity: (C, N, 2) velocity of the detections, px per frame, because the offsets are unknown as well.
     labels: (N, 3) instant, key point and limb of each point.
     """
-    r, weight, jc, jp = bundle.rows(list(cameras), radial, points)
-    count, n = weight.shape
-    jc = np.concatenate([jc, -velocity[..., None]], -1)
-    size = jc.shape[-1]
-    wjc = weight[..., None, None] * jc
-    own = np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp) + 1e-3 * np.eye(3)
-    cross = np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1)
+    cameras = bundle.unknowns.start
+    count, n, size = len(cameras), len(points), bundle.count + 1
+    jc, jp, r = np.zeros((count, n, 2, size)), np.zeros((count, n, 2, 3)), np.zeros((count, n, 2))
+    groups = se3(np.eye(3), points)
+    for c, (camera, s) in enumerate(zip(cameras, bundle.slices, strict=True)):
+        at = c, bundle.o.group[s]
+        jc[*at, :, :-1], jp[at], r[at], root = bundle.derivatives(camera, groups, s)
+        jc[*at, :, -1] = -velocity[at] * root[:, None]
+    own = np.einsum("cnxi,cnxj->nij", jp, jp) + 1e-3 * np.eye(3)
+    cross = np.einsum("cnxp,cnxi->nicp", jc, jp).reshape(n, 3, -1)
     eliminated = np.linalg.solve(own, cross)
     each = np.arange(count)
     hessian = np.zeros((count, size, count, size))
-    hessian[each, :, each] = np.einsum("cnxp,cnxq->cpq", wjc, jc) + np.diag(np.r_[bundle.unknowns.hold, 1e-3])
+    hessian[each, :, each] = np.einsum("cnxp,cnxq->cpq", jc, jc) + np.diag(np.r_[bundle.unknowns.hold, 1e-3])
     hessian = hessian.reshape(count * size, -1)
-    pull = np.einsum("cnxi,cn,cnx->cni", jp, weight, r)
+    pull = np.einsum("cnxi,cnx->cni", jp, r)
     score = -np.einsum("cni,nis->cns", pull, eliminated).reshape(count, n, count, size)
-    score[each, :, each] += np.einsum("cnxp,cnx->cnp", wjc, r)
+    score[each, :, each] += np.einsum("cnxp,cnx->cnp", jc, r)
     score = score.reshape(count, n, -1)
     moment, kind, limb = labels.T
     middle = np.zeros_like(hessian)
@@ -437,7 +437,7 @@ def uncertainty(
         used = int(np.any(rows != 0, axis=1).sum())
         middle += rows.T @ rows * used / max(used - count * size, used / 4)
     inverse = np.linalg.inv(hessian - np.einsum("nis,nit->st", cross, eliminated) + 1e-6 * np.diag(np.diag(hessian)))
-    free = _without_gauge(cameras, points, size)
+    free = _without_gauge(list(cameras), points, size)
     sd = np.sqrt(np.maximum(np.diag(free @ inverse @ middle @ inverse @ free.T), 0)).reshape(count, size)
     focal = sd[:, 6] if bundle.unknowns.focal else np.zeros(count)
     turn, place = (np.linalg.norm(sd[:, k : k + 3], axis=1) for k in (0, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,16 +119,13 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
     world = np.stack([scene.points[n] for n in names])
     cameras, errors, sds, notes, warnings = [], {}, [], [], []
     for name, clicks in scene.clicks.items():
-        index = np.array([names.index(n) for n in clicks])
-        pixels = np.stack(list(clicks.values()))
-        lens = lenses.select([name])[0] if lenses is not None else None
-        camera = _start(name, world[index], pixels, lens, scene.sizes.get(name))
-        obs = Observations(np.zeros(len(index), np.int64), np.zeros(len(index), np.int64), index, pixels)
+        index, pixels = np.array([names.index(n) for n in clicks]), np.stack(list(clicks.values()))
+        lens = None if lenses is None else lenses.select([name])[0]
         found = bundle_adjust(
-            [camera],
+            [_start(name, world[index], pixels, lens, scene.sizes.get(name))],
             np.eye(4)[None],
             world,
-            obs,
+            Observations(np.zeros_like(index), np.zeros_like(index), index, pixels),
             free_intrinsics=lens is None,
             fixed_frames=np.array([True]),
             prior=_PRIOR,
@@ -137,7 +135,7 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
         camera = found.cameras[0]
         distance = np.linalg.norm(found.residuals, axis=1)
         errors[name] = dict(zip(clicks, distance.tolist(), strict=True))
-        worst = list(clicks)[int(distance.argmax())]
+        worst = max(clicks, key=errors[name].__getitem__)
         if distance.max() > max(5.0, 4 * float(np.median(distance))):
             warnings.append(
                 f"{name}: the point {worst} lies {distance.max():.0f} px from where it should be (median "
@@ -148,8 +146,7 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
             notes.append(f"{name}: focal length {camera.K[0, 0]:.0f} px, uncertain by {100 * share:.1f} %.")
         cameras.append(camera)
         sds.append(float(found.position_sd[0]))
-    every = np.concatenate([list(e.values()) for e in errors.values()])
-    rms = float(np.sqrt(np.mean(every**2) / 2))
+    rms = float(np.sqrt(np.mean([px**2 for e in errors.values() for px in e.values()]) / 2))
     return PointCalibration(CameraRig(tuple(cameras)), errors, rms, np.array(sds), tuple(notes), tuple(warnings))
 
 
@@ -177,52 +174,43 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
             + (", or give its lens with --intrinsics." if lens is None else ".")
         )
     if lens is not None:
-        return _posed(replace(lens, name=name), world, pixels)[0]
+        return _posed(replace(lens, name=name), world, pixels)[1]
     if size is None:
         raise CalibrationError(
             f"Camera {name}: the size of its picture is not known; add size = [width, height] to [clicks.{name}], or "
             "give its lens with --intrinsics."
         )
-    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    tried = []
+    (x, y), tried = ((size[0] - 1) / 2, (size[1] - 1) / 2), list[tuple[float, Camera]]()
     for f in max(size) * np.geomspace(0.4, 6, 24):
-        k = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1.0]])
-        try:
+        with contextlib.suppress(CalibrationError):
+            k = np.array([[f, 0, x], [0, f, y], [0, 0, 1.0]])
             tried.append(_posed(Camera(name, k, np.zeros(5), np.eye(4), size), world, pixels))
-        except CalibrationError:
-            continue
     if not tried:
         raise _impossible(name)
-    return min(tried, key=lambda t: t[1])[0]
+    return min(tried, key=lambda t: t[0])[1]
 
 
-def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[Camera, float]:
+def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[float, Camera]:
     """Find the camera pose with the smallest median error, with all points and with each point left out.
 
     world: (N, 3) m.
     pixels: (N, 2) px, distorted.
-    Returns: the camera at that pose, and the median error, px.
+    Returns: the median error, px, and the camera at that pose.
     Raises: CalibrationError where there is no pose.
     Why: one wrong click distorts the whole pose.
     """
     undistorted = camera.undistort_points(pixels)
-    best: tuple[Camera, float] | None = None
-    count = len(world)
+    found, count = list[tuple[float, Camera]](), len(world)
     for left_out in (None, *(range(count) if count > _LEAST_KNOWN else ())):
         use = np.arange(count) != left_out
-        try:
+        with contextlib.suppress(cv2.error):
             ok, rvec, tvec = cv2.solvePnP(world[use], undistorted[use], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
-        except cv2.error:
-            continue
-        if not ok:
-            continue
-        trial = replace(camera, camera_from_world=se3(cv2.Rodrigues(rvec)[0], tvec.ravel()))
-        error = float(np.median(np.linalg.norm(trial.project(world) - pixels, axis=1)))
-        if np.isfinite(error) and (best is None or error < best[1]):
-            best = (trial, error)
-    if best is None:
+            trial = replace(camera, camera_from_world=se3(cv2.Rodrigues(rvec)[0], tvec.ravel())) if ok else camera
+            error = float(np.median(np.linalg.norm(trial.project(world) - pixels, axis=1)))
+            found += [(error, trial)] if ok and np.isfinite(error) else []
+    if not found:
         raise _impossible(camera.name)
-    return best
+    return min(found, key=lambda f: f[0])
 
 
 def _impossible(name: str) -> CalibrationError:

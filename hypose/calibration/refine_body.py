@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
+from hypose.calibration.bundle import apply_parameters
+from hypose.calibration.refine_points import CameraUnknowns, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.terms import ContourTerm

@@ -1,26 +1,24 @@
-"""Refinement of cameras and 3D points from key points: bundle adjustment with the points eliminated.
+"""Refinement of cameras and 3D points from key points, by bundle adjustment.
 
 The key points need not be joints: any points that all views see at the same place are suitable, so no body model is
-needed. Rows are robust (Cauchy). Points are eliminated with the Schur complement, so a step solves one small system for
-the cameras.
+needed. Rows are robust (Cauchy).
 Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6; Hartley and Zisserman 2004, appendix 6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.bundle import Bundle, Observations
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.compute.linear import SharedEquations
 from hypose.compute.losses import lorentzian
 from hypose.errors import EvidenceError
-from hypose.fitting.problem import Rule, SharedProblem
-from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
+from hypose.fitting.problem import Rule
+from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_log, transform
 from hypose.io.calibrations.camera_tables import rescaled
 
 # ---- refine camera -------------------------------------------------------------------------------------------------
@@ -47,20 +45,6 @@ class CameraChange:
     move_m: float
     focal: float
     image_px: float
-
-
-def apply_parameters(camera: Camera, x: Array) -> Camera:
-    """Change a camera by its parameters.
-
-    x: (6,) rotation vector (rad) and translation (m) in the camera's frame; optionally (7,) with the logarithm of the
-        focal factor. Further elements, such as a radial term, are ignored.
-    """
-    motion = se3(so3_exp(x[:3]), x[3:6])
-    k = camera.K
-    if len(x) > 6 and x[6] != 0:
-        k = k.copy()
-        k[:2, :2] *= np.exp(x[6])
-    return replace(camera, K=k, camera_from_world=motion @ camera.camera_from_world)
 
 
 def by_camera(points_camera: Array, gradient_camera: Array, unknowns: int = 6) -> Array:
@@ -149,8 +133,6 @@ def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
     return CameraRig(tuple(rescaled(c, factor) for c in rig))
 
 
-_Shared = tuple[list[Camera], Array]
-"""Cameras, and radial terms (C,)."""
 _ITERATIONS = 30
 FEWEST_POINTS = 60
 """Least number of 3D points over all frames for the adjustment of a rig."""
@@ -167,7 +149,7 @@ class CameraUnknowns:
 
     focal: focal lengths are unknowns.
     free: (C,) cameras that may move; None for all.
-    radial: there is a radial term.
+    radial: the first distortion coefficient is an unknown.
     hold: standard deviations of the prior on each camera's change, in the order of `HOLD`.
     """
 
@@ -181,33 +163,20 @@ class CameraUnknowns:
     ) -> None:
         self.start, self.focal, self.radial = rig, focal, radial
         pull = [hold[0]] * 3 + [hold[1]] * 3 + [hold[2]] * focal + [1.0] * radial
-        self.hold = np.array(pull) ** -2.0
-        self.count = len(pull)
-        self.turns = np.tile(np.arange(len(pull)) < 3, len(rig))
-        self.free = np.repeat(
-            np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool), len(pull)
-        )
+        self.hold, self.count = np.array(pull) ** -2.0, len(pull)
+        self.turns = np.tile(np.arange(self.count) < 3, len(rig))
+        self.free = np.repeat(np.ones(len(rig), dtype=bool) if free is None else free, self.count)
 
-    def held(self, cameras: Sequence[Camera], radial: Array | None = None) -> tuple[Array, float]:
-        """Compute the differences of cameras from the start, and the cost of the prior.
+    def change(self, index: int, camera: Camera) -> Array:
+        """Compute the difference (P,) of a camera from the start."""
+        start = self.start[index]
+        x = change_from(start, camera)[: 6 + self.focal]
+        return np.r_[x, camera.distortion[0] - start.distortion[0]] if self.radial else x
 
-        Returns: (C, P) parameters, and the cost.
-        """
-        x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : 6 + self.focal]
-        if radial is not None and self.radial:
-            x = np.concatenate([x, radial[:, None]], 1)
+    def held(self, cameras: Sequence[Camera]) -> tuple[Array, float]:
+        """Compute the differences (C, P) of cameras from the start, and the cost of the prior."""
+        x = np.stack([self.change(c, camera) for c, camera in enumerate(cameras)])
         return x, 0.5 * float((self.hold * x**2).sum())
-
-
-def pinhole_derivative(camera: Camera, points: Array) -> tuple[Array, Array]:
-    """Project points without lens distortion, and compute the derivatives.
-
-    points: (N, 3) in the camera's frame, m.
-    Returns: (N, 2) px relative to the principal point; derivatives with respect to the points (N, 2, 3).
-    """
-    k, z = camera.K[:2, :2], np.maximum(points[:, 2], 1e-3)[:, None]
-    offset = (points[:, :2] / z) @ k.T
-    return offset, np.concatenate([k / z[..., None], -(offset / z)[..., None]], -1)
 
 
 @dataclass(frozen=True)
@@ -216,18 +185,14 @@ class PointAdjustment:
 
     rig: the refined cameras; the world frame is fixed by a weak prior on the start cameras (`HOLD`).
     points: (N, 3) key points, m; NaN where fewer than two views see the point.
-    radial: (C,) radial distortion term of each camera; 0 unless it was estimated.
-    radial_sd: (C,) standard deviation of radial; 0 unless it was estimated.
-    before: median reprojection error at the start, px, over the detections used.
-    after: median reprojection error after the adjustment, px, over the same detections.
+    median_px: median reprojection error, px, over the detections used.
+    radial_sd: (C,) standard deviation of the first distortion coefficient; 0 unless it was estimated.
     """
 
     rig: CameraRig
     points: Array
-    radial: Array
+    median_px: float
     radial_sd: Array
-    before: float
-    after: float
 
 
 def adjust(
@@ -243,11 +208,12 @@ def adjust(
 ) -> PointAdjustment:
     """Refine a rig with the key points of a person (bundle adjustment).
 
-    pixels: (C, N, 2) undistorted px of the rig.
+    rig: cameras without distortion.
+    pixels: (C, N, 2) undistorted px of the rig; with `radial` those of the pictures.
     confidence: (C, N); 0 where not seen.
     free: (C,) cameras that may move; None for all.
     focal: estimate focal lengths as well.
-    radial: estimate a radial distortion term per camera as well.
+    radial: estimate the first distortion coefficient of each camera as well.
     hold: standard deviations of the prior on each camera's change, in the order of `HOLD`.
     iterations: largest number of iterations.
     Raises: EvidenceError where two views see too few common points.
@@ -276,7 +242,7 @@ def default_scale(pixels: Array, confidence: Array) -> float:
     return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
 
 
-class PointBundle(SharedProblem[_Shared]):
+class PointBundle(Bundle):
     """Least-squares problem of `adjust`.
 
     pixels: (C, N, 2) px of points that at least two views see.
@@ -285,86 +251,26 @@ class PointBundle(SharedProblem[_Shared]):
     unknowns: unknowns of the cameras.
     """
 
+    own = 3
+
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
-        self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
-        self.free, self.limited, self.largest = unknowns.free, unknowns.turns, 0.2
+        camera, point = np.nonzero(confidence > 0)
+        self.uv, self.confidence, self.unknowns = pixels, confidence, unknowns
+        seen = Observations(camera, point, np.zeros_like(point), pixels[camera, point])
+        weight, scales = 4 * confidence[camera, point], np.full(len(camera), 2 * scale)
+        super().__init__(seen, np.zeros((1, 3)), weight, scales, lorentzian, unknowns.count, unknowns.free)
+        self.limited, self.largest = unknowns.turns, 0.2
 
-    def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
-        """Compute residuals and robust weights.
+    def lens(self, camera: Camera) -> Array:
+        """Compute the derivatives (L, 4 + k) of the intrinsics by the focal factor and the radial term."""
+        rows = np.zeros((2, 4 + len(camera.distortion)))
+        rows[0, :2], rows[1, 4] = camera.K[[0, 1], [0, 1]], 1.0
+        return rows[np.array([self.unknowns.focal, self.unknowns.radial])]
 
-        radial: (C,) radial term of each camera.
-        points: (N, 3) m.
-        Returns: residuals (C, N, 2), px; weights (C, N) of squared px; the robust cost.
-        """
-        r = np.zeros_like(self.uv)
-        for c, camera in enumerate(cameras):
-            r[c] = bent(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]
-        seen = self.confidence > 0
-        behind = seen & ~np.isfinite(r).all(-1)
-        r = np.where(np.isfinite(r), r, 0.0)
-        rho, slope, _ = lorentzian((r**2).sum(-1) / self.scale**2, 4 * self.confidence / self.scale**2)
-        cost = 2 * float((self.confidence * rho).sum()) + 20.0 * int(behind.sum())
-        weight = np.where(behind, 0.0, slope)
-        return r, weight, cost
-
-    def rows(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array]:
-        """Compute residuals and derivatives.
-
-        radial: (C,) radial term of each camera.
-        points: (N, 3) m.
-        Returns: residuals (C, N, 2), px; weights (C, N); derivatives with respect to the cameras' unknowns (C, N, 2, P)
-            and to the points (C, N, 2, 3).
-        """
-        r, weight, _ = self.residuals(cameras, radial, points)
-        size, (n_cameras, n) = self.unknowns.count, weight.shape
-        jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
-        for c, camera in enumerate(cameras):
-            p = transform(camera.camera_from_world, points)
-            offset, d = pinhole_derivative(camera, p)
-            r2 = ((p[:, :2] / np.maximum(p[:, 2:], 1e-3)) ** 2).sum(1)
-            if radial[c] != 0:
-                d = d * (1 + radial[c] * r2)[:, None, None]  # its own slope is small against this
-            more = [offset] * self.unknowns.focal + [offset * r2[:, None]] * self.unknowns.radial
-            jc[c] = np.concatenate([np.cross(p[:, None], d), d, *(m[..., None] for m in more)], -1)
-            jp[c] = d @ camera.camera_from_world[:3, :3]
-        return r, weight, jc, jp
-
-    def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
-        """Assemble the normal equations: shared unknowns (C P,) of the cameras, own unknowns of the points."""
-        r, weight, jc, jp = self.rows(cameras, radial, points)
-        size, (n_cameras, n) = self.unknowns.count, weight.shape
-        wjc = weight[..., None, None] * jc
-        x, _ = self.unknowns.held(cameras, radial)
-        hessian = np.zeros((n_cameras, size, n_cameras, size))
-        for c, block in enumerate(np.einsum("cnxp,cnxq->cpq", wjc, jc)):
-            hessian[c, :, c] = block + np.diag(self.unknowns.hold)
-        return SharedEquations(
-            hessian.reshape(n_cameras * size, -1),
-            (np.einsum("cnxp,cnx->cp", wjc, r) + self.unknowns.hold * x).ravel(),
-            np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp),
-            np.einsum("cn,cnxi,cnx->ni", weight, jp, r),
-            np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
-        )
-
-    def evaluate(self, state: tuple[_Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
-        """Compute the cost, and return it with a function that computes the equations."""
-        (cameras, radial), points = state
-        cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
-        return cost, partial(self.equations, cameras, radial, points)
-
-    def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
-        """Apply a step to cameras and points.
-
-        state: cameras with their radial terms, and points (N, 3), m.
-        step: (C P,) step of the cameras.
-        own: (N, 3) step of the points.
-        Returns: the new state, and the largest change of a camera.
-        """
-        (cameras, radial), points = state
-        x = step.reshape(len(cameras), self.unknowns.count)
-        new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
-        shared = new, radial + (x[:, -1] if self.unknowns.radial else 0.0)
-        return (shared, points + own), float(np.abs(x).max())
+    def prior(self, index: int, camera: Camera) -> tuple[Array, Array]:
+        """Compute the camera's change from the start, in standard deviations, and the derivatives (P, P)."""
+        root = np.sqrt(self.unknowns.hold)
+        return root * self.unknowns.change(index, camera), np.diag(root)
 
     def adjusted(self, iterations: int) -> PointAdjustment:
         """Triangulate the points with the start cameras, and adjust both."""
@@ -372,32 +278,15 @@ class PointBundle(SharedProblem[_Shared]):
         points = triangulate(rig, self.uv, self.confidence)[0]
         lost = ~np.isfinite(points).all(1)
         points[lost] = np.nanmedian(points[~lost], axis=0)
-        start = (list(rig), np.zeros(len(rig))), points
+        start = list(rig), se3(np.eye(3), points)
         found = self.solve(start, iterations, Rule(damping=1e-3, least=1e-7, gain=1e-6))
-        (cameras, radial), points = found.state
-        sd = np.zeros(len(cameras))
+        cameras, groups = found.state
+        median = float(np.median(np.linalg.norm(self.residuals(cameras, groups), axis=1)))
+        sd = np.zeros(len(rig))
         if self.unknowns.radial:
-            s = found.equations.reduced().hessian
-            sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
-        before, after = self._median(*start[0], start[1]), self._median(cameras, radial, points)
-        return PointAdjustment(CameraRig(tuple(cameras)), points, radial, sd, before, after)
-
-    def _median(self, cameras: list[Camera], radial: Array, points: Array) -> float:
-        r, _, _ = self.residuals(cameras, radial, points)
-        return float(np.median(np.linalg.norm(r, axis=-1)[self.confidence > 0]))
-
-
-def bent(camera: Camera, pixels: Array, radial: float) -> Array:
-    """Apply a radial term to the pixels (N, 2) of a pinhole camera.
-
-    The offset from the principal point is multiplied by 1 + radial r^2, where r is the offset in focal lengths.
-    """
-    if radial == 0:
-        return pixels
-    centre = camera.K[:2, 2]
-    offset = pixels - centre
-    r2 = ((offset / camera.K[[0, 1], [0, 1]]) ** 2).sum(-1, keepdims=True)
-    return centre + offset * (1 + radial * r2)
+            variance = np.linalg.pinv(found.equations.reduced().hessian).diagonal()
+            sd = np.sqrt(np.maximum(variance, 0)).reshape(len(rig), -1)[:, -1]
+        return PointAdjustment(CameraRig(tuple(cameras)), groups[:, :3, 3], median, sd)
 
 
 def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:

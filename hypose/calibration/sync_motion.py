@@ -15,7 +15,7 @@ Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf an
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -193,35 +193,45 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
     """
     known = next((s for s in silhouettes if s is not None), None)
     if known is None:
-        raise EvidenceError("There are no silhouettes to take the timing from.")
+        raise EvidenceError("No frame has silhouettes; give masks, a background, or key points.")
     out = []
     for c, (w, h) in enumerate(known.rig.sizes.tolist()):
-        outline: list[Array | None] = [None] * len(silhouettes)
-        change: list[Array | None] = [None] * len(silhouettes)
-        area, cut = np.zeros(len(silhouettes)), np.zeros(len(silhouettes), dtype=bool)
-        seen = {t: s.masks[c, :h, :w] for t, s in enumerate(silhouettes) if s is not None and s.usable[c]}
-        masks = {t: person for t, mask in seen.items() if (person := biggest_parts(mask, 0.2)).any()}
-        for t, mask in masks.items():
-            points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            outline[t] = cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
-            area[t] = mask.sum()
-            cut[t] = bool(mask[:2].any() or mask[-2:].any() or mask[:, :2].any() or mask[:, -2:].any())
-        steady = {t: _majority(masks, t) for t in masks}
-        for t in range(len(silhouettes)):
-            if {t - _SPAN, t + _SPAN} <= steady.keys():
-                differing = steady[t - _SPAN] ^ steady[t + _SPAN]
-                found = cv2.findNonZero(cv2.morphologyEx(differing, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
-                change[t] = np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
-        out.append(MaskTrack(tuple(outline), tuple(change), area, cut))
+        found = [biggest_parts(s.masks[c, :h, :w], 0.2) if s is not None and s.usable[c] else None for s in silhouettes]
+        masks = [m if m is not None and m.any() else None for m in found]
+        steady = [_majority(masks, t) for t in range(len(masks))]
+        edges = [() if m is None else (m[:2], m[-2:], m[:, :2], m[:, -2:]) for m in masks]
+        out.append(
+            MaskTrack(
+                tuple(None if m is None else _hull(m) for m in masks),
+                tuple(_changed(steady, t) for t in range(len(masks))),
+                np.array([0.0 if m is None else m.sum() for m in masks]),
+                np.array([any(edge.any() for edge in four) for four in edges]),
+            )
+        )
     return out
 
 
-def _majority(masks: Mapping[int, NDArray[np.uint8]], t: int) -> NDArray[np.uint8]:
+def _hull(mask: NDArray[np.uint8]) -> Array:
+    """Compute the convex hull (n, 2), px, of a mask."""
+    points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
+
+
+def _changed(masks: Sequence[NDArray[np.uint8] | None], t: int) -> Array | None:
+    """List the pixels (m, 2) that differ between the masks before and after frame t; None where one is missing."""
+    x, y = (masks[k] if 0 <= k < len(masks) else None for k in (t - _SPAN, t + _SPAN))
+    if x is None or y is None:
+        return None
+    found = cv2.findNonZero(cv2.morphologyEx(x ^ y, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
+
+
+def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.uint8] | None:
     """Compute the majority of three neighbouring masks, because edges flicker from frame to frame."""
-    near = [masks[k] for k in (t - 1, t, t + 1) if k in masks]
-    if len(near) < 3:
+    near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
+    if masks[t] is None or len(near) < 3 or any(m is None for m in near):
         return masks[t]
-    total = np.sum(near, axis=0)
+    total = np.sum([m for m in near if m is not None], axis=0)
     return np.asarray(total >= 2, dtype=np.uint8)
 
 
@@ -319,35 +329,36 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
         return value + 1e-6 * float((x**2).sum())
 
     whole = np.arange(np.ceil(low), np.floor(high) + 1)
-    best = np.zeros(n_views)
-    for start in _starts(splines, lags, n_views):
-        x, value = start.copy(), total(start)
-        for _ in range(10):
-            old = value
-            for c in range(n_views):
-                trials = [total(np.r_[x[:c], x[c] + d, x[c + 1 :]]) for d in whole]
-                k = int(np.argmin(trials))
-                if trials[k] < value:
-                    x[c] += whole[k]
-                    value = trials[k]
-            if value >= old:
-                break
-        if value < total(best):
-            best = x
+    tried = [coordinate_descent(total, x, range(n_views), whole) for x in _starts(splines, lags, n_views)]
+    best = min([np.zeros(n_views), *tried], key=total)
     found = minimize(total, best, method="Powell", options={"xtol": 1e-3, "ftol": 1e-9, "maxiter": 40}).x
     joined = {c for pair in splines for c in pair}
     shift = float(np.median([found[c] for c in joined]))
     sd = np.full(n_views, np.inf)
     for c in joined:
-        step = 0.5
-        bend = (
-            total(np.r_[found[:c], found[c] + step, found[c + 1 :]])
-            - 2 * total(found)
-            + total(np.r_[found[:c], found[c] - step, found[c + 1 :]])
-        ) / step**2
+        left, middle, right = (total(np.r_[found[:c], found[c] + d, found[c + 1 :]]) for d in (-0.5, 0.0, 0.5))
+        bend = 4 * (left - 2 * middle + right)
         sd[c] = 1 / np.sqrt(bend) if bend > 1e-6 else np.inf
     frames = np.where([c in joined for c in range(n_views)], found - shift, 0.0)
     return Offsets(frames, sd, total(np.zeros(n_views)) - total(found))
+
+
+def coordinate_descent(total: Callable[[Array], float], start: Array, views: Iterable[int], steps: Array) -> Array:
+    """Move one view after the other by the step that lessens a cost most, until none does.
+
+    total: cost of the offsets (C,).
+    start: (C,) offsets at the start.
+    views: indices of the views that may move.
+    steps: (S,) steps that are tried; one of them is 0.
+    """
+    x, views = start.copy(), list(views)
+    for _ in range(10):
+        before = total(x)
+        for c in views:
+            x[c] += steps[int(np.argmin([total(np.r_[x[:c], x[c] + step, x[c + 1 :]]) for step in steps]))]
+        if total(x) >= before:
+            break
+    return x
 
 
 def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: float) -> tuple[Offsets, float]:
@@ -383,17 +394,6 @@ def at_the_end(found: Offsets, reach: float) -> bool:
     """
     sure = found.frames[np.isfinite(found.sd)]
     return len(sure) > 1 and float(np.ptp(sure)) > reach - 0.5
-
-
-def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
-    """Mark the late views whose true delay may be larger, because the offsets are at the end of the searched range.
-
-    found: offsets of all views.
-    frames: (C,) delay of each view, frames.
-    reach: largest offset that was searched, frames.
-    Returns: (C,) True where the delay may be larger.
-    """
-    return np.asarray(at_the_end(found, reach) & (np.abs(frames) > 0.5 * reach))
 
 
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:

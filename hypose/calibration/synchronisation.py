@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import gcd
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from hypose.calibration.sync_motion import (
 from hypose.cameras.camera import CameraRig
 from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Frame, FrameSource, Keypoints, Silhouettes
 from hypose.evidence.keypoint_check import sizes
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
@@ -39,16 +39,6 @@ WHOLE = 0.05
 
 
 _MASK_SHARE = 0.25  # weight of silhouettes relative to key points, whose errors are the smaller ones
-
-
-class FrameSequence(Protocol):
-    """Interface of frames that are accessed by their number, with a length."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, index: int, /) -> Frame:
-        """Get the frame with this index, 0 <= index < len."""
-        ...
 
 
 def offsets_from_motion(
@@ -141,7 +131,7 @@ class Resampled:
     Raises: InputError where an offset is not finite.
     """
 
-    def __init__(self, source: FrameSequence, late: Sequence[float] | Array) -> None:
+    def __init__(self, source: FrameSource, late: Sequence[float] | Array) -> None:
         self.source = source
         if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
             raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.refine_points import adjust
-from hypose.calibration.sync_motion import Curves
+from hypose.calibration.sync_motion import Curves, coordinate_descent
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.geometry import Array, se3, so3_exp
@@ -97,11 +97,9 @@ def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[fl
         far = np.abs(curves.lags - (frames[b] - frames[a])) > apart
         dip = np.r_[False, (c[1:-1] <= c[:-2]) & (c[1:-1] <= c[2:]), False]
         for k in sorted(np.flatnonzero(far & dip), key=lambda k: float(c[k]))[:2]:
-            x = frames.copy()
-            x[b] = x[a] + curves.lags[k]
-            for j in [j for j in range(len(frames)) if j not in (a, b)] * 4:
-                trials = [np.r_[x[:j], x[a] + lag, x[j + 1 :]] for lag in curves.lags]
-                x = trials[int(np.argmin([total(t) for t in trials]))]
+            start = frames.copy()
+            start[b] = start[a] + curves.lags[k]
+            x = coordinate_descent(total, start, {*range(len(frames))} - {a, b}, curves.lags)
             found.append((total(x) / total(frames) - 1, x))
     return min(found, key=lambda f: f[0]) if found else None
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -25,6 +27,7 @@ _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
+_DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11")
 _ENOUGH_BOARDS = 24  # sharp boards of a camera after which no picture is searched that does not surely show one
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
@@ -95,11 +98,8 @@ class CameraViews:
     def summary(self) -> str:
         """Format the result as one sentence."""
         n = len(self.sightings)
-        why: dict[str, int] = {}
-        for look in self.looks.values():
-            if look.reason:
-                why[look.reason] = why.get(look.reason, 0) + 1
-        rest = ", ".join(f"{k} x {r}" for r, k in sorted(why.items(), key=lambda p: -p[1]))
+        why = Counter(look.reason for look in self.looks.values() if look.reason)
+        rest = ", ".join(f"{k} x {r}" for r, k in why.most_common())
         text = f"{self.name}: the board was found in {n} of {len(self.looks)} pictures"
         if n:
             text += f", in {100 * self.coverage:.0f} % of the picture's area"
@@ -175,12 +175,6 @@ def look_for_board(
     progress: called with stage, number done and total.
     Raises: InputError where a file cannot be read.
     """
-    count = [0, 1]
-
-    def step(total: int) -> None:
-        count[0], count[1] = count[0] + 1, max(count[1], total)
-        progress("board", min(count[0], count[1]), count[1])
-
     lengths = [open_video(s.path).n_frames for s in sources]
     numbers = None
     if together and len(sources) > 1:
@@ -189,15 +183,14 @@ def look_for_board(
         if common <= first:
             raise InputError("The videos have no common frames at the given lags; check --lag.")
         numbers = evenly_spread(first, common, max_frames)
-    total = sum(len(numbers or evenly_spread(0, n, max_frames)) for n in lengths)
+    chosen = [numbers or evenly_spread(0, n, max_frames) for n in lengths]
+    total, done = sum(map(len, chosen)), itertools.count(1)
 
-    def one(source: BoardFootage, n: int) -> CameraViews:
-        return _look(source, numbers or evenly_spread(0, n, max_frames), board, lambda: step(total))
+    def one(source: BoardFootage, frames: Sequence[int]) -> CameraViews:
+        return _look(source, frames, board, lambda: progress("board", min(next(done), total), total))
 
     with ThreadPoolExecutor(2) as pool:
-        out = tuple(pool.map(one, sources, lengths))
-    progress("board", count[1], count[1])
-    return out
+        return tuple(pool.map(one, sources, chosen))
 
 
 def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
@@ -270,32 +263,55 @@ def _examine(picture: object, detect: Detector) -> Look:
 def _with_reasons(looks: Mapping[int, Look]) -> dict[int, Look]:
     """Add why the board was not found: dark, overexposed, more blurred than pictures with a board, or no board."""
     sharp = [k.focus for k in looks.values() if k.sighting is not None and not k.reason]
-    usual = float(np.median(sharp)) if sharp else float("nan")
-    out = {}
+    usual, out = float(np.median(sharp)) if sharp else float("nan"), {}
     for number, k in sorted(looks.items()):
-        reason = k.reason
-        if k.sighting is None:
-            reason = "no board found"
-            if k.brightness < 25:
-                reason = "too dark"
-            elif k.brightness > 230:
-                reason = "overexposed"
-            elif k.focus < 0.5 * usual:
-                reason = "blurred"
-        out[number] = Look(k.sighting, reason, k.focus, k.brightness)
+        tests = (
+            (k.brightness < 25, "too dark"),
+            (k.brightness > 230, "overexposed"),
+            (k.focus < 0.5 * usual, "blurred"),
+        )
+        why = next((words for true, words in tests if true), "no board found")
+        out[number] = replace(k, reason=why) if k.sighting is None else k
     return out
 
 
 def diagnose(views: CameraViews, board: Board) -> str:
     """Explain why a camera saw no board at all.
 
-    Tested are another number of corners, other markers, inverted colours and a mirrored picture.
+    Tested are inverted colours, another number of corners, other markers and a mirrored picture.
 
     views: the results of the search in the camera's pictures.
     Returns: the explanation; empty where there is none.
     """
     grays = list(_spread_pictures(views.path, _TESTED))
-    return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
+    charuco, inverted = board.kind == "charuco", replace(board, inverted=not board.inverted)
+    others = [(inverted, _COLOURS[board.inverted])]
+    if charuco:
+        swapped, legacy = (
+            replace(board, columns=board.rows, rows=board.columns),
+            replace(board, legacy=not board.legacy),
+        )
+        others += [(swapped, "the board is found with columns and rows exchanged")]
+        others += [(legacy, "the board is found with the legacy pattern switched")]
+    for other, words in others:
+        detect = make_detector(other)
+        if any(detect(g) is not None for g in grays):
+            return words
+    if charuco and _markers_seen(grays, board):
+        return "its markers were seen, but not its corners: check the numbers of columns and rows"
+    if charuco and _markers_seen(grays, inverted):
+        return _COLOURS[board.inverted]
+    if charuco and _markers_seen([np.ascontiguousarray(g[:, ::-1]) for g in grays], board):
+        return "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off"
+    seen = None if charuco else chessboard_seen(grays, board.size)
+    if seen is not None and set(seen) == set(board.size):
+        return "a board of this size was seen, but not well enough to measure it"
+    for name in _DICTIONARIES if seen is None else ():
+        if _markers_seen(grays, replace(board, dictionary=name, inverted=charuco and board.inverted)):
+            return f"markers of the dictionary {name} were seen" + ("" if charuco else ": is it a ChArUco board?")
+    seen = seen or chessboard_seen(grays, board.size)
+    what = " without markers" if charuco else ""
+    return f"a chessboard of {seen[0]} x {seen[1]} inner corners{what} was seen instead" if seen else ""
 
 
 def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> tuple[int, int] | None:
@@ -304,7 +320,7 @@ def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> t
 
     about: expected corners along x and y.
     """
-    sizes: dict[tuple[int, int], int] = {}
+    sizes = Counter[tuple[int, int]]()
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
         scale = min(1.0, 1000 / max(gray.shape))
@@ -316,60 +332,15 @@ def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> t
                 seen = (max(meta.shape[:2]), min(meta.shape[:2]))
                 best = max(best, seen, key=lambda s: s[0] * s[1])
         if best[0] * best[1] > 9:  # a grid of 3 x 3 is found in many things
-            sizes[best] = sizes.get(best, 0) + 1
+            sizes[best] += 1
     return max(sizes, key=lambda n: (sizes[n], n[0] * n[1])) if sizes else None
 
 
-def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
-    """Explain why no chessboard was found in grey pictures; empty where there is no explanation."""
-    other_way = make_detector(replace(board, inverted=not board.inverted))
-    if any(other_way(g) is not None for g in grays):
-        return _COLOURS[board.inverted]
-    seen = chessboard_seen(grays, board.size)
-    if seen is not None:
-        if set(seen) == set(board.size):
-            return "a board of this size was seen, but not well enough to measure it"
-        return f"a chessboard of {seen[0]} x {seen[1]} inner corners was seen instead"
-    for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"):
-        if _markers(grays, name, False) >= 4:
-            return f"markers of the dictionary {name} were seen: is it a ChArUco board?"
-    return ""
-
-
-def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
-    """Count the markers in the picture that shows most of them.
-
-    grays: grey pictures.
-    dictionary: OpenCV's name of the markers.
-    inverted: whether they are printed white on black.
-    """
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
-    best = 0
-    for gray in grays:
-        ids = detector.detectMarkers(255 - gray if inverted else gray)[1]
-        best = max(best, 0 if ids is None else len(ids))
-    return best
-
-
-def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
-    """Explain why no ChArUco board was found in grey pictures; empty where there is no explanation."""
-    if _markers(grays, board.dictionary, board.inverted) >= 4:
-        swapped = replace(board, columns=board.rows, rows=board.columns)
-        legacy = replace(board, legacy=not board.legacy)
-        for other, what in ((swapped, "columns and rows exchanged"), (legacy, "the legacy pattern switched")):
-            detect = make_detector(other)
-            if any(detect(g) is not None for g in grays):
-                return f"the board is found with {what}"
-        return "its markers were seen, but not its corners: check the numbers of columns and rows"
-    if _markers(grays, board.dictionary, not board.inverted) >= 4:
-        return _COLOURS[board.inverted]
-    if _markers([np.ascontiguousarray(g[:, ::-1]) for g in grays], board.dictionary, board.inverted) >= 4:
-        return "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off"
-    for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11"):
-        if _markers(grays, name, board.inverted) >= 4:
-            return f"markers of another dictionary, {name}, were seen"
-    seen = chessboard_seen(grays, board.size)
-    return f"a chessboard of {seen[0]} x {seen[1]} inner corners without markers was seen instead" if seen else ""
+def _markers_seen(grays: Sequence[Gray], board: Board) -> bool:
+    """Test whether one of the pictures shows at least four markers of the board's dictionary."""
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary)))
+    found = (detector.detectMarkers(255 - gray if board.inverted else gray)[1] for gray in grays)
+    return any(ids is not None and len(ids) >= 4 for ids in found)
 
 
 def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
@@ -403,13 +374,11 @@ def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
     Why: a partly hidden or partly detected board shows fewer corners than it has, so the count of most pictures is
         used, and of equally frequent counts the larger.
     """
-    votes: dict[tuple[int, int], int] = {}
+    votes = Counter[tuple[int, int]]()
     for source in sources:
-        for gray in _spread_pictures(source.path, _PICTURES):
-            seen = chessboard_seen([gray])
-            if seen is not None:
-                votes[seen] = votes.get(seen, 0) + 1
-        if votes and max(votes.values()) >= _ENOUGH:
+        seen = [chessboard_seen([gray]) for gray in _spread_pictures(source.path, _PICTURES)]
+        votes.update(size for size in seen if size is not None)
+        if max(votes.values(), default=0) >= _ENOUGH:
             break
     found = max(votes, key=lambda n: (votes[n], n[0] * n[1]), default=None)
     if found is None or votes[found] < 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -339,3 +339,13 @@ def pieces_of(frames: Iterable[Frame], kind: type[_Piece]) -> list[_Piece]:
     skipped.
     """
     return [piece for frame in frames for piece in frame.of(kind)]
+
+
+class FrameSource(Protocol):
+    """Protocol of a source of frames by number: hypose.io.recordings.frames.FrameStream, or a synthetic scene."""
+
+    def __len__(self) -> int: ...
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index, 0 <= index < len."""
+        ...

@@ -145,6 +145,13 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
     return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
 
 
+def triangulated(rig: CameraRig, pixels: Array) -> Array:
+    """Triangulate key points (C, T, K, 3), distorted px and confidence, to (T, K, 3), m; NaN where missing."""
+    uv, confidence = undistorted(rig, pixels)
+    seen = np.where(confidence > 0.3, confidence, 0.0).reshape(len(rig), -1)
+    return triangulate(rig, uv.reshape(len(rig), -1, 2), seen)[0].reshape(*pixels.shape[1:3], 3)
+
+
 def trials(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
 ) -> Iterator[Trial[Array]]:

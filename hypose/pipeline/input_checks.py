@@ -13,12 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
+from hypose.calibration.diagnose_masks import MaskViews, focal_findings, gross_silhouettes
 from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
 from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
-from hypose.calibration.diagnostics import gross_silhouettes
 from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits, depth_findings
-from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, widest_angle
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
@@ -132,16 +130,15 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if not agreed:  # of contradicting points, only the set of key points can be known
         person = [f for f in person if f.kind == "keypoint_set" and "keypoint_set = " in f.cure]
     elif rig is keypoints[0].rig and not any(f.kind == "keypoint_set" for f in person):  # nothing else was wrong
-        yield from focal_findings(focal_by_points(rig, pixels))
+        yield from focal_findings(rig, lambda cameras, kept: disagreement(cameras, pixels[kept]))
     yield from person
 
 
 def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:
     """Check the masks of some frames."""
     yield from up_by_cameras(silhouettes[0].rig)
-    rig = silhouettes[0].rig
-    gross = gross_silhouettes(rig, silhouettes, replace(o, gross=0.04))
-    yield from gross or focal_findings(focal_by_masks(rig, mask_tracks(silhouettes)))
+    seen = MaskViews.of(silhouettes)
+    yield from gross_silhouettes(seen, replace(o, gross=0.04)) or focal_findings(seen.rig, seen.of_some)
 
 
 # ---- passes ----------------------------------------------------------------------------------------------------------

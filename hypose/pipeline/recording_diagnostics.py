@@ -4,7 +4,7 @@ person.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.default_body import human
-from hypose.calibration.diagnose_masks import tangency, tangency_by_view
+from hypose.calibration.diagnose_masks import tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
@@ -28,11 +28,11 @@ from hypose.calibration.refine_points import (
 )
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.calibration.synchronisation import Resampled, points_at
-from hypose.cameras.camera import CameraRig, triangulate
+from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.keypoint_check import undistorted
+from hypose.evidence.keypoint_check import triangulated, undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
@@ -49,6 +49,7 @@ from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 _Progress = Callable[[str, int, int], None]
 _METHODS = ("keypoints", "silhouettes")
+LEFT_OUT, ALL_VIEWS, TANGENTS = "Key points, one camera left out", "Key points, all cameras", "Silhouettes"
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,9 @@ class Refinement:
     method: "keypoints" or "silhouettes".
     used: frames from which the refinement was computed.
     changes: how far each camera was moved and turned.
-    before_px, after_px: median distance of key points from the triangulation of all views, on frames not used; NaN
-        without key points.
-    left_out_before_px, left_out_after_px: the same from the triangulation of the other views.
-    tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames.
+    residuals: median residuals before and after, px, on frames that were not used, the most telling first: of key
+        points from the triangulation of the other views (LEFT_OUT) and of all views (ALL_VIEWS), and of the planes
+        tangent to the silhouettes (TANGENTS); those without evidence are missing.
     notes: sentences for the user.
     """
 
@@ -70,12 +70,7 @@ class Refinement:
     method: str
     used: tuple[int, ...]
     changes: tuple[CameraChange, ...]
-    before_px: float
-    after_px: float
-    left_out_before_px: float
-    left_out_after_px: float
-    tangency_before_px: float
-    tangency_after_px: float
+    residuals: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...] = ()
 
     @property
@@ -220,49 +215,52 @@ def refine_recording(
     if fixed:
         few.rig.select(fixed)  # its error lists the names that exist
     free = np.array([c.name not in fixed for c in few.rig])
-    notes: list[str] = []
+    judged, notes = list[Silhouettes | None](), list[str]()
     if method == "keypoints":
         refined, there = _by_points(few.rig, points, used, focal, free)
-        before_silhouettes: list[Silhouettes | None] = []
     else:
-        refined, there, before_silhouettes, notes = _by_body(
-            few, late, load_keypoints(few), used, rest, focal, free, progress
-        )
+        refined, there, judged, notes = _by_body(few, late, load_keypoints(few), used, rest, focal, free, progress)
     factor = _scale(few.rig, refined, points, used, person.names, height, notes)
     refined = scale_rig(refined, factor)
     old_from_new = gauge(refined, few.rig, there * factor)
     refined = transform_rig(refined, old_from_new)
-    here = transform(old_from_new, there * factor)
-    tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
     return Refinement(
         refined,
         method,
         tuple(int(few.frames[k]) for k in used),
-        changes(few.rig, refined, here),
-        *_residuals(few.rig, refined, points, rest),
-        tangents[0],
-        tangents[1],
+        changes(few.rig, refined, transform(old_from_new, there * factor)),
+        _residuals((few.rig, refined), points[:, rest] if points.size else points, judged),
         tuple(notes),
     )
 
 
 def _residuals(
-    old: CameraRig, new: CameraRig, points: Array, rest: NDArray[np.int64]
-) -> tuple[float, float, float, float]:
-    """Compute the median residual with the old and the new cameras, px, on the key points of frames that were not used.
+    rigs: tuple[CameraRig, CameraRig], points: Array, silhouettes: Sequence[Silhouettes | None]
+) -> dict[str, tuple[float, float]]:
+    """Compute the median residuals with the old and the new cameras on frames that were not used; see `Refinement`.
 
     points: (C, T, K, 3) distorted px, and confidence; T is 0 without key points.
-    rest: numbers of these frames.
-    Returns: before and after, from the triangulation of all views; before and after, from that of the other views; NaN
-        where there are none.
+    silhouettes: masks of some of the frames.
     """
-    out = [np.nan] * 4
-    for k, (measure, rig) in enumerate((m, r) for m in (point_residual, left_out_residual) for r in (old, new)):
-        if points.size:
-            uv, confidence = undistorted(rig, points[:, rest])
-            found = measure(rig.pinhole(), uv.reshape(len(rig), -1, 2), confidence.reshape(len(rig), -1))
-            out[k] = float(np.nanmedian(found)) if np.isfinite(found).any() else np.nan
-    return out[0], out[1], out[2], out[3]
+    out: dict[str, tuple[float, float]] = {}
+    if points.size:
+        seen = [undistorted(rig, points) for rig in rigs]
+        flat = [(uv.reshape(len(uv), -1, 2), confidence.reshape(len(uv), -1)) for uv, confidence in seen]
+        for what, measure in ((LEFT_OUT, left_out_residual), (ALL_VIEWS, point_residual)):
+            found = [measure(rig, *of) for rig, of in zip(rigs, flat, strict=True)]
+            before, after = (float(np.nanmedian(r)) if np.isfinite(r).any() else np.nan for r in found)
+            out[what] = before, after
+    known = [s for s in silhouettes if s is not None]
+    if known:
+        small, tracks = known[0].rig, mask_tracks(known)
+        moved = [
+            CameraRig(tuple(replace(a, camera_from_world=b.camera_from_world) for a, b in zip(small, rig, strict=True)))
+            for rig in rigs
+        ]
+        px = rigs[0].sizes[:, 0] / small.sizes[:, 0]
+        before, after = (float(np.nanmean(tangency_by_view(rig, tracks) * px)) for rig in moved)
+        out[TANGENTS] = before, after
+    return {what: pair for what, pair in out.items() if np.isfinite(pair).all()}
 
 
 def _by_points(
@@ -300,7 +298,7 @@ def _by_body(
     blind = replace(recording, views=tuple(v.without("keypoints") for v in recording.views), keypoint_set=None)
     with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
-        frames: list[Frame] = []
+        frames = list[Frame]()
         for done, k in enumerate(used):
             progress("masks", done, len(used))
             frames.append(source.frame(int(k)))
@@ -360,27 +358,12 @@ def _scale(
     """Compute the scale factor that keeps the length of the person's limbs, or makes the person as tall as given."""
     if not points.size:
         return 1.0  # the size of the body has fixed the scale
-    sizes = []
-    for rig in (old, new):
-        uv, confidence = undistorted(rig, points[:, used])
-        c = len(rig)
-        x, _ = triangulate(rig, uv.reshape(c, -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(c, -1))
-        try:
-            sizes.append(shape_from_keypoints(human(), x.reshape(len(used), -1, 3), names).scale)
-        except EvidenceError:
-            return 1.0
+    try:
+        worlds = [triangulated(rig, points[:, used]) for rig in (old, new)]
+        before, after = (shape_from_keypoints(human(), world, names).scale for world in worlds)
+    except EvidenceError:
+        return 1.0
     if height is not None:
         notes.append(f"scale from the person's height of {height:.2f} m")
-        return height / (sizes[1] * human().stature)
-    return float(np.clip(sizes[0] / sizes[1], 0.5, 2.0))
-
-
-def _tangency(rig: CameraRig, silhouettes: Sequence[Silhouettes | None]) -> float:
-    """Compute the median disagreement of the tangent planes, px of the calibrated size; NaN without silhouettes."""
-    known = [s for s in silhouettes if s is not None]
-    if not known:
-        return float("nan")
-    small = known[0].rig
-    moved = CameraRig(tuple(replace(a, camera_from_world=b.camera_from_world) for a, b in zip(small, rig, strict=True)))
-    by_view = tangency_by_view(tangency(moved, mask_tracks(known)), len(rig))
-    return float(np.nanmean(by_view * rig.sizes[:, 0] / small.sizes[:, 0]))
+        return height / (after * human().stature)
+    return float(np.clip(before / after, 0.5, 2.0))

@@ -15,7 +15,7 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
+from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhouettes
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -25,16 +25,6 @@ if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.view_source import ViewSource
-
-
-class FrameSource(Protocol):
-    """Protocol of a source of frames by number: hypose.io.recordings.frames.FrameStream, or a synthetic scene."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index, 0 <= index < len."""
-        ...
 
 
 @runtime_checkable

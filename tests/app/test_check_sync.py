@@ -13,7 +13,7 @@ from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png
-from hypose.pipeline.recording_diagnostics import Refinement
+from hypose.pipeline.recording_diagnostics import ALL_VIEWS, LEFT_OUT, Refinement
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from tests.app.conftest import fails
 
@@ -55,7 +55,7 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
         "keypoints",
         (1, 2, 3),
         tuple(CameraChange(f"cam{k}", 67.0 if k == 2 else 0.1, 0.1, 1.0, 3.0) for k in (1, 2, 3)),
-        *(9.0, 1.0, 9.0, 1.0, float("nan"), float("nan")),
+        {LEFT_OUT: (9.0, 1.0), ALL_VIEWS: (9.0, 1.0)},
     )
     monkeypatch.setattr(checking, "refine_recording", lambda *_, **__: found)
     given = ("check", keypoint_recording, "--frames", "0", "--samples", "1")
@@ -65,7 +65,9 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
     code, out, err = hypose(*given, "--refine=far")
     assert code == 0 and (keypoint_recording / "results" / "calibration_refined.toml").exists(), out + err
     assert replace(found, changes=(CameraChange("cam1", 1.0, 0.6, 1.0, 3.0),)).far == ("cam1",)
-    found = replace(found, left_out_before_px=6.07, left_out_after_px=6.14)  # all cameras agree better, and lie worse
+    found = replace(
+        found, residuals={LEFT_OUT: (6.07, 6.14), ALL_VIEWS: (9.0, 1.0)}
+    )  # all cameras agree better, and lie worse
     code, out, _ = hypose(*given, "--refine=far")
     assert code == 1 and "not better on frames that it was not found on" in out
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.calibration_boards import film_board, ring_of_cameras
+from hypose.calibration.board_fit import collect_observations
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import (
-    NOISE_PX,
-    bundle_adjust,
-    collect_observations,
-)
+from hypose.calibration.bundle import NOISE_PX, bundle_adjust
 from hypose.cameras.camera import Camera
 from hypose.geometry import se3, so3_exp
 

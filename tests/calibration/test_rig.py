@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.cameras.board_accuracy import solve_scene
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
+from hypose.calibration.board_fit import CalibratedLens, calibrate_lens
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import CalibratedLens, calibrate_lens
 from hypose.calibration.from_boards import floor_frame, place_on_floor
 from hypose.calibration.rig import calibrate_rig
 from hypose.cameras.camera import CameraRig

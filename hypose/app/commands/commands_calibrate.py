@@ -54,7 +54,10 @@ def calibrate(c: CalibrateCommand) -> None:
             rig, notes = read_any(c.convert, c.unit)
             print_notes(notes)
         elif c.points is not None:
-            rig = _from_points(c.points, c.intrinsics)
+            lenses = None if c.intrinsics is None else _lenses(c.intrinsics)
+            found = calibrate_from_points(read_scene_points(c.points), lenses)
+            _show_points(found)
+            rig = found.rig
         else:
             rig = _from_boards(c, c.sheet or target.with_suffix(".png"))
     write_calibration(rig, target)
@@ -67,20 +70,20 @@ def _board_of(c: CalibrateCommand) -> Board:
     Raises: InputError names the option that is missing or malformed.
     """
     text = c.chessboard or c.charuco
-    if text is None and c.square is not None:
-        columns, rows = count_corners(find_sources(c.sources))
-        say(f"The board is taken for a chessboard of {columns} x {rows} inner corners, as counted in the pictures.")
-        return Board("chessboard", columns, rows, parse_length(c.square, "--square"), inverted=c.inverted)
-    if text is None or (c.chessboard and c.charuco):
+    if (c.chessboard and c.charuco) or (text is None and c.square is None):
         raise InputError("Say which board it is: --chessboard COLUMNSxROWS (inner corners) or --charuco (squares).")
     if c.square is None:
         raise InputError("Say how large the board's squares are, measured on the print: --square 115mm.")
-    counts = re.fullmatch(r"\s*(\d{1,3})\s*[xX*,]\s*(\d{1,3})\s*", text)
-    if counts is None:
-        raise InputError(f"The board's size {text!r} is not understood; write COLUMNSxROWS, for example 9x6.")
-    columns, rows = int(counts[1]), int(counts[2])
     side = parse_length(c.square, "--square")
-    if c.chessboard is not None:
+    if text is None:
+        columns, rows = count_corners(find_sources(c.sources))
+        say(f"The board is taken for a chessboard of {columns} x {rows} inner corners, as counted in the pictures.")
+    else:
+        counts = re.fullmatch(r"\s*(\d{1,3})\s*[xX*,]\s*(\d{1,3})\s*", text)
+        if counts is None:
+            raise InputError(f"The board's size {text!r} is not understood; write COLUMNSxROWS, for example 9x6.")
+        columns, rows = int(counts[1]), int(counts[2])
+    if c.charuco is None:
         return Board("chessboard", columns, rows, side, inverted=c.inverted)
     if c.marker is None:
         raise InputError("Say how large the ChArUco board's markers are, measured on the print: --marker 86mm.")
@@ -115,19 +118,12 @@ def _lenses(path: Path) -> CameraRig:
     return rig
 
 
-def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
-    lenses = None if intrinsics is None else _lenses(intrinsics)
-    result = calibrate_from_points(read_scene_points(path), lenses)
-    _show_points(result)
-    return result.rig
-
-
 def _show_points(result: PointCalibration) -> None:
     """Print how well a calibration from measured points fits."""
     rows = []
     for camera, sd in zip(result.rig, result.position_sd, strict=True):
         errors, (x, y, z) = result.errors[camera.name], camera.position
-        worst = max(errors, key=lambda n: errors[n])
+        worst = max(errors, key=errors.__getitem__)
         fit = f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}", f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}"
         rows.append((camera.name, str(len(errors)), *fit))
     columns = ("camera", "points", "worst point (px)", "focal (px)", "position (m)", "uncertain by (mm)")
@@ -272,11 +268,8 @@ def with_focal_lengths(rig: CameraRig, given: Sequence[str]) -> CameraRig:
         pixels |= dict.fromkeys([name] if name else rig.names, float(number))
     if missing := [n for n in rig.names if n not in pixels]:
         raise InputError(f"--focal: the focal length of {', '.join(missing)} is missing; add CAMERA=PIXELS.")
-    cameras = []
-    for c in rig:
-        f, (x, y) = pixels[c.name], c.K[:2, 2]
-        cameras.append(replace(c, K=np.array([[f, 0, x], [0, f, y], [0, 0, 1.0]])))
-    return CameraRig(tuple(cameras))
+    lenses = [np.array([[pixels[c.name], 0, c.K[0, 2]], [0, pixels[c.name], c.K[1, 2]], [0, 0, 1.0]]) for c in rig]
+    return CameraRig(tuple(replace(c, K=k) for c, k in zip(rig, lenses, strict=True)))
 
 
 def _show_person(found: PersonCalibration) -> None:

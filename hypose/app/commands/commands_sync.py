@@ -107,7 +107,7 @@ def _given(text: str, recording: Recording) -> list[float]:
         raise InputError(
             f"--offsets {text} are no numbers; write frames separated by commas, for example 0,-2.5,1."
         ) from None
-    if len(out) != count or any(abs(x) > 1e5 or x != x for x in out):
+    if len(out) != count or not np.abs(out).max() <= 1e5:
         raise InputError(f"--offsets {text}: {count} numbers of frames are needed, one per view.")
     if max(out) - min(out) >= len(recording.frames):
         raise InputError(
@@ -132,8 +132,8 @@ def _by_motion(
     Raises: EvidenceError where the motion does not determine the delays.
     """
     rate = recording.frame_rate
-    within = [largest_s] if largest_s else [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)]
-    *nearer, last = within or _LARGEST_S[:1]
+    within = [s for s in _LARGEST_S if 3 * s * rate <= len(recording.frames)] or _LARGEST_S[:1]
+    *nearer, last = [largest_s] if largest_s else within
     for seconds in nearer:
         with contextlib.suppress(EvidenceError):
             late, words, sure = _by_motion_within(recording, seconds * rate, frames, progress)
@@ -156,24 +156,20 @@ def _by_motion_within(
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
     points = undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
-    if found.gain < 0:
-        raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
-    reported = [s < largest for s in found.sd]  # unknown where the deviation exceeds the search range
-    if not any(reported):
+    known = found.sd < largest  # unknown where the deviation exceeds the search range
+    if found.gain < 0 or not known.any():
         raise EvidenceError(
             f"{recording.name}: the views have no motion in common that tells how late they are; film a person who "
             "walks or waves, or use --by sound or --by flash."
         )
-    words = [
-        f"sd {s:.2f}" if known else "no motion in common with the others"
-        for s, known in zip(found.sd, reported, strict=True)
-    ]
+    pairs = zip(found.sd, known, strict=True)
+    words = [f"sd {sd:.2f}" if sure else "no motion in common with the others" for sd, sure in pairs]
     reach = offsets_within(largest, max(seen.keypoints.shape[1], len(seen.silhouettes)))
     ended = at_the_end(found, reach)
     if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
         words[0] += f"; views are {reach:.1f} frames apart or more: give {what}"
-    return [float(x) for x in found.frames], words, all(reported) and not ended
+    return found.frames.tolist(), words, bool(known.all()) and not ended
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
@@ -183,13 +179,12 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
     Returns: delay of each view in frames, and a text on the certainty of each.
     Raises: InputError where a view has no video.
     """
-    sounds = []
-    for view in recording.views:
-        if "video" not in view.files:
-            raise InputError(f"View {view.name} has no video and so no sound; use --by motion.")
-        sounds.append(read_sound(view.files["video"]))
-    seconds, peaks = offsets_from_sound(sounds, [v.name for v in recording.views], largest)
-    return [float(x) * recording.frame_rate for x in seconds], [f"peak {p:.0f} sd" for p in peaks]
+    videos = {v.name: v.files.get("video") for v in recording.views}
+    if silent := [name for name, video in videos.items() if video is None]:
+        raise InputError(f"View {silent[0]} has no video and so no sound; use --by motion.")
+    sounds = [read_sound(video) for video in videos.values() if video is not None]
+    seconds, peaks = offsets_from_sound(sounds, list(videos), largest)
+    return (seconds * recording.frame_rate).tolist(), [f"peak {p:.0f} sd" for p in peaks]
 
 
 def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
@@ -205,7 +200,7 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
         with open_video(view.source, rate=view.rate) as reader:
             levels.append(np.array([float(image[::8, ::8].mean()) for image in reader]))
     late, kinds = offsets_from_light(levels, [v.name for v in recording.views])
-    return [float(x) for x in late], list(kinds)
+    return late.tolist(), list(kinds)
 
 
 def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
@@ -304,7 +299,6 @@ def _people(found: RecordedPerson) -> list[Array]:
     """
     out = [found.raw] if found.keypoints else []
     for one in found.one.people[1:]:
-        raw = np.zeros_like(found.raw)
-        raw[:, one.first : one.last + 1] = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)
-        out.append(raw)
+        out.append(np.zeros_like(found.raw))
+        out[-1][:, one.first : one.last + 1] = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)
     return out

@@ -35,7 +35,6 @@ from hypose.pipeline.recording_diagnostics import (
 )
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
-_HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
 _FIGURES = ("name", "residual_px", "left_out_px", "tangency_px")
 _SHEET_WIDTH = 1600  # px
 _LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person covers at most and at least
@@ -85,12 +84,9 @@ def check(c: CheckCommand) -> None:
 def _print_report(report: PersonReport) -> None:
     """Print how well each view agrees with the others, and the findings."""
     for view in report.views:
-        numbers = []
-        if view.left_out_px == view.left_out_px:
-            numbers.append(f"key points {view.left_out_px:.1f} px from where the other cameras put them")
-        if view.tangency_px == view.tangency_px:
-            numbers.append(f"silhouette {view.tangency_px:.1f} px")
-        say(f"{view.name}: " + (", ".join(numbers) if numbers else "nothing to compare"))
+        points = f"key points {view.left_out_px:.1f} px from where the other cameras put them"
+        figures = ((view.left_out_px, points), (view.tangency_px, f"silhouette {view.tangency_px:.1f} px"))
+        say(f"{view.name}: " + (", ".join(text for px, text in figures if np.isfinite(px)) or "nothing to compare"))
     for finding in report.findings:
         say(f"{'fault' if finding.fault else 'note'}: {finding.sentence}", "yellow" if finding.fault else None)
 
@@ -106,13 +102,11 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     method = c.using
     if method == "auto":
         method = "keypoints" if loaded.keypoint_set is not None else "silhouettes"
-    recording = loaded if cured is None else cured_recording(loaded, cured)
-    late = None if cured is None else cured.late
     with Stages() as progress:
         result = refine_recording(
-            recording,
+            loaded if cured is None else cured_recording(loaded, cured),
             method,
-            late=late,
+            late=None if cured is None else cured.late,
             focal=c.focal,
             fixed=c.keep,
             height=c.height or loaded.subject_height,
@@ -121,16 +115,17 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
     for text in result.notes:
         say(f"note: {text}")
+    why = ""
     if not _print_changes(result):
-        say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
-        raise Exit(1)
-    if result.far and not c.far:
-        say(
+        why = "The refined calibration is not better on frames that it was not found on; nothing is written."
+    elif result.far and not c.far:
+        why = (
             f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
             "calibration has it, and nothing is written: look whether the key points are one person's in all views, or "
-            "take it with --refine=far.",
-            "yellow",
+            "take it with --refine=far."
         )
+    if why:
+        say(why, "yellow")
         raise Exit(1)
     target.parent.mkdir(parents=True, exist_ok=True)
     write_calibration(result.rig, target)
@@ -138,9 +133,8 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     if any("world is turned" in n for n in loaded.notes):
         say('note: this file is z up already: use it with world_up = "z".')
     say(f"Use it: hypose track {loaded.folder} --calibration {target}")
-    if cured is not None:
-        for text in _settings(loaded, cured):
-            say(f"Also set in recording.toml: {text}")
+    for text in [] if cured is None else _settings(loaded, cured):
+        say(f"Also set in recording.toml: {text}")
 
 
 def _print_changes(result: Refinement) -> bool:
@@ -153,27 +147,18 @@ def _print_changes(result: Refinement) -> bool:
             f"{change.name}: turned by {change.turn_deg:.2f} degrees, moved by {1000 * change.move_m:.0f} mm{focal}; "
             f"the person moves {change.image_px:.1f} px in its image"
         )
-    found = {
-        "Key points, one camera left out": (result.left_out_before_px, result.left_out_after_px),
-        "Key points, all cameras": (result.before_px, result.after_px),
-        "Silhouettes": (result.tangency_before_px, result.tangency_after_px),
-    }
-    known = {what: pair for what, pair in found.items() if np.isfinite(pair).all()}
-    for what, (before, after) in known.items():
+    for what, (before, after) in result.residuals.items():
         say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
-    before, after = next(iter(known.values()), (1.0, 0.0))
+    before, after = next(iter(result.residuals.values()), (1.0, 0.0))
     return after < before
 
 
 def _settings(recording: Recording, cured: Cured) -> list[str]:
     """List the settings of recording.toml that correct the faults that were measured, as sentences."""
-    out = []
-    if cured.keypoint_lag:
-        out.append(f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}")
+    out = [f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}"] if cured.keypoint_lag else []
     for view, shift in zip(recording.views, cured.shift, strict=True):
-        if shift.any():
-            x, y = (round(float(a + b), 1) for a, b in zip(view.image_shift, shift, strict=True))
-            out.append(f"view {view.name}: image_shift = [{x:g}, {y:g}]")
+        x, y = (np.array(view.image_shift) + shift).round(1)
+        out += [f"view {view.name}: image_shift = [{x:g}, {y:g}]"] if shift.any() else []
     return out
 
 
@@ -237,7 +222,7 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         facts += ["Several people stand in the masks; their hulls are looked at together."] if several else []
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
-        ious, heights, why = [], [], ""
+        ious, why = list[np.ndarray](), ""
         points = np.stack([k.points for k in source.keypoints]) if source.keypoints else np.zeros((0, 0, 0, 3))
         shown = bool((points[..., 2] > 0).any())
         for row in each(progress, "check", rows):
@@ -246,16 +231,10 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
                 shown = shown or bool(masks.usable.any())
                 why = why or next((r.rstrip(".") for r in masks.reasons if r), "")
                 warnings += _mask_warnings(masks, frame.index)
-                if len(recording.views) == 1:
-                    continue
-                found = _hull_facts(masks, frame.index, facts, warnings, several)
-                if found is not None:
-                    heights.append(found[0])
-                    ious.append(found[1])
-        guessed = source.guessed_rooms
-        if ious:
-            contradicted = _hull_warnings(recording, np.array(heights), np.array(ious))
-            warnings = [*([guessed] if guessed and contradicted else []), *warnings, *contradicted]
+                if len(recording.views) > 1:
+                    ious += _hull_overlap(masks, frame.index, facts, warnings, several)
+        guessed, contradicted = source.guessed_rooms, _contradictions(recording, np.array(ious))
+        warnings = [*([guessed] if guessed and contradicted else []), *warnings, *contradicted]
         if len(points):
             shares = zip(source.rig.names, (points[..., 2] > 0.3).mean((0, 2)), strict=True)
             listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
@@ -354,54 +333,44 @@ def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
     return out
 
 
-def _hull_facts(
+def _hull_overlap(
     silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str], several: bool
-) -> tuple[float, np.ndarray] | None:
-    """Compute the height of the visual hull and its overlap with the masks, and add sentences on them.
+) -> list[np.ndarray]:
+    """Compute the overlap of the visual hull with the masks, and add sentences on the hull.
 
     number: number of the frame.
     facts, warnings: receive the sentences.
     several: several people are in the masks, so that all parts of the hull count.
-    Returns: height in m, and IoU with each view's mask (C,), NaN for unusable masks; None without a hull.
+    Returns: one array (C,), the IoU with each view's mask, NaN for unusable masks; none without a hull.
     """
     try:
         hull = visual_hull(silhouettes, largest=not several)
     except EvidenceError as error:
         warnings.append(str(error) if str(number) in str(error) else f"frame {number}: {error}")
-        return None
+        return []
     iou = hull_iou(hull, silhouettes)
     height = float(np.ptp(hull.points[:, 2])) + hull.voxel
     x, y = hull.points[:, :2].mean(0)
-    worst = float(np.nanmin(iou))
     facts.append(
         f"Frame {number}: the common volume of the views is {hull.volume * 1000:.0f} litres, {height:.2f} m high, at "
-        f"({x:.2f}, {y:.2f}) m; its overlap with the masks is {np.nanmean(iou):.2f} on average, {worst:.2f} at worst."
+        f"({x:.2f}, {y:.2f}) m; its overlap with the masks is {np.nanmean(iou):.2f} on average, "
+        f"{float(np.nanmin(iou)):.2f} at worst."
     )
-    return height, iou
+    return [iou]
 
 
-def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
-    """List sentences on views that contradict the others, and on a hull of a height that no person has.
+def _contradictions(recording: Recording, ious: np.ndarray) -> list[str]:
+    """List sentences on views that contradict the others.
 
-    heights: (N,) heights of the hulls, m.
     ious: (N, C) IoU of each hull with each view's mask; NaN where the mask is unusable.
     """
-    out = []
-    for c, view in enumerate(recording.views):
-        known = ious[:, c][np.isfinite(ious[:, c])]
-        if len(known) and np.median(known) < _LOW_IOU:
-            out.append(
-                f"View {view.name}: its masks agree badly with the other views (IoU {np.median(known):.2f}); check its "
-                "calibration, its synchronisation and its mask."
-            )
-    height = float(np.median(heights))
-    agree = bool(np.isfinite(ious).any()) and float(np.nanmedian(ious)) >= _LOW_IOU
-    if agree and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
-        out.append(
-            f"The common volume is {height:.2f} m high, which no person is; check the unit of the calibration "
-            "(calibration_unit) and which of its axes points up (world_up)."
-        )
-    return out
+    usual = [np.median(mine[np.isfinite(mine)]) if np.isfinite(mine).any() else np.nan for mine in ious.T]
+    return [
+        f"View {view.name}: its masks agree badly with the other views (IoU {iou:.2f}); check its calibration, its "
+        "synchronisation and its mask."
+        for view, iou in zip(recording.views, usual, strict=bool(len(ious)))
+        if iou < _LOW_IOU
+    ]
 
 
 def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:

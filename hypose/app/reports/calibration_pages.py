@@ -15,14 +15,14 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.report_parts import html_list, html_table, page, picture_of
-from hypose.app.reports.result_pictures import jpeg, open_images, put_text
+from hypose.app.reports.result_pictures import close_up, jpeg, open_images, put_text
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.calibration.from_boards import BoardCalibration
 from hypose.calibration.views import CameraViews
-from hypose.cameras.camera import CameraRig, triangulate
+from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.keypoint_check import undistorted
+from hypose.evidence.keypoint_check import triangulated
 from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording
@@ -30,6 +30,7 @@ from hypose.io.videos.video import open_video
 from hypose.pipeline.recording_diagnostics import window
 
 _MEASURED, EXPECTED = (60, 200, 250), (60, 60, 235)  # BGR
+_TILE = (400, 560)  # px: size of the picture of one view
 
 
 def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> Image | None:
@@ -44,58 +45,28 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
         return None
     few = window(recording, observed.keypoints.shape[1])
     row = int(np.argmax((observed.keypoints[..., 2] > 0.5).sum(2).min(0)))
-    number = few.frames[min(row, len(few.frames) - 1)]
-    uv, confidence = undistorted(recording.rig, observed.keypoints[:, row : row + 1])
+    number = few.frames[min(row, len(few.frames) - 1)] + cured.keypoint_lag
     tiles = []
     with open_images(recording) as images:
         for c, (camera, view) in enumerate(zip(recording.rig, images, strict=True)):
-            others = [k for k in range(len(images)) if k != c]
-            points, _ = triangulate(
-                CameraRig(tuple(recording.rig[k] for k in others)),
-                uv[others, 0],
-                np.where(confidence[others, 0] > 0.3, confidence[others, 0], 0.0),
-            )
-            picture = view.read(min(number + cured.keypoint_lag, recording.n_frames - 1))
+            picture = view.read(min(number, recording.n_frames - 1))
             if picture is None:
                 continue
-            ratio = np.array(picture.shape[1::-1]) / np.array(camera.size)
-            expected = (camera.project(points) + 0.5) * ratio - 0.5
-            found = (observed.keypoints[c, row, :, :2] + 0.5) * ratio - 0.5
-            tiles.append(_drawn(picture, found, expected, observed.keypoints[c, row, :, 2], camera.name))
-    if not tiles:
-        return None
-    height = max(t.shape[0] for t in tiles)
-    padded = [cv2.copyMakeBorder(t, 0, height - t.shape[0], 0, 4, cv2.BORDER_CONSTANT) for t in tiles]
-    return np.asarray(np.concatenate(padded, 1), np.uint8)
-
-
-def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: np.ndarray, name: str) -> Image:
-    """Cut a picture to the person, 560 px high, and draw the key points with lines to the expected places.
-
-    found, expected: (K, 2) px in the picture; NaN where nothing is expected.
-    confidence: (K,); points of at most 0.3 are left out.
-    name: name of the camera.
-    """
-    known = (confidence > 0.3) & np.isfinite(expected).all(1)
-    if not known.any():
-        known = confidence > 0.3
-    h, w = picture.shape[:2]
-    box = found[known] if known.any() else np.array([[0, 0], [w - 1, h - 1]])
-    margin = 0.15 * float(np.ptp(box, axis=0).max())
-    x0, y0 = np.maximum(np.floor(box.min(0) - margin), 0).astype(int)
-    x1, y1 = np.minimum(np.ceil(box.max(0) + margin), [w, h]).astype(int)
-    part = picture[y0:y1, x0:x1]
-    scale = 560 / max(part.shape[0], 1)
-    part = cv2.resize(part, (max(1, round(part.shape[1] * scale)), 560), interpolation=cv2.INTER_AREA)
-    for k in np.flatnonzero(known):
-        a = tuple(int(v) for v in np.rint((found[k] - [x0, y0]) * scale))
-        if np.isfinite(expected[k]).all():
-            b = tuple(int(v) for v in np.rint(np.clip((expected[k] - [x0, y0]) * scale, -4000, 4000)))
-            cv2.line(part, a, b, EXPECTED, 2, cv2.LINE_AA)
-        cv2.circle(part, a, 4, _MEASURED, -1, cv2.LINE_AA)
-    cv2.rectangle(part, (0, 0), (part.shape[1], 24), (30, 30, 30), -1)
-    cv2.putText(part, name, (8, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
-    return np.asarray(part, np.uint8)
+            others = [k for k in range(len(images)) if k != c]
+            rig = CameraRig(tuple(recording.rig[k] for k in others))
+            points = triangulated(rig, observed.keypoints[others, row : row + 1])[0]
+            shown = camera.scaled(picture.shape[1::-1])
+            tile, near = close_up(picture, shown, points, _TILE, 1.3)
+            x, y, confidence = observed.keypoints[c, row].T
+            found = (np.stack([x, y], 1) + 0.5) * np.array(shown.size) / camera.size - 0.5
+            found = near.K[:2, 2] + (found - shown.K[:2, 2]) * near.K[0, 0] / shown.K[0, 0]
+            places = np.clip(np.stack([found, near.project(points)], 1), -4000, 4000)
+            for a, b in places[(confidence > 0.3) & np.isfinite(places).all((1, 2))].round().astype(int).tolist():
+                cv2.line(tile, a, b, EXPECTED, 2, cv2.LINE_AA)
+                cv2.circle(tile, a, 4, _MEASURED, -1, cv2.LINE_AA)
+            put_text(tile, camera.name, 8, 18)
+            tiles.append(tile)
+    return np.concatenate(tiles, 1) if tiles else None
 
 
 def write_check_page(
@@ -120,18 +91,17 @@ def write_check_page(
     rows = []
     for v in report.views:
         moved = "-" if v.change is None else f"{v.change.turn_deg:.2f}&deg;, {1000 * v.change.move_m:.0f} mm"
-        lag = "-" if v.alignment is None else f"{v.alignment.lag:+.2f} &plusmn; {v.alignment.lag_sd:.2f}"
         kinds = html.escape(", ".join(dict.fromkeys(f.kind for f in report.of(v.name) if f.fault)))
         word = f'<span class="bad">{kinds}</span>' if kinds else "fine"
         numbers = (_number(v.residual_px), _number(v.left_out_px), _number(v.tangency_px))
-        rows.append((html.escape(v.name), *numbers, lag, moved, word))
-    head = ("camera", "residual (px)", "left out (px)", "silhouette (px)", "key points early by (frames)")
+        rows.append((html.escape(v.name), *numbers, moved, word))
+    head = ("camera", "residual (px)", "left out (px)", "silhouette (px)")
     found = [("" if f.fault else "Note: ") + f.sentence for f in report.findings]
     parts = [
         f"<h1>{html.escape(title)}: is the calibration right?</h1>",
         '<p class="good">No fault found.</p>' if fine else '<p class="bad">Something is wrong; see below.</p>',
         "<h2>Findings</h2>" + html_list([*found, *warnings] or ["none"]),
-        "<h2>Cameras</h2>" + html_table(rows, (*head, "a refinement moves it by", "assessment"), range(1, 6)),
+        "<h2>Cameras</h2>" + html_table(rows, (*head, "a refinement moves it by", "assessment"), range(1, 5)),
         "<p class='dim'>Residual: median distance of the camera's key points from the triangulation of all "
         "views; left out: of the other views. Silhouette: by how much the planes that touch the person differ from "
         "those of the other views.</p>",
