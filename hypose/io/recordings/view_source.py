@@ -334,7 +334,7 @@ class ViewSource:
         if self._masks is None or frame not in self._masks.numbered:
             return np.zeros((0, 0), np.uint8)
         found = np.negative(read_image(self._masks.numbered[frame])[..., 0])  # see hypose.pipeline.detect_keypoints
-        return np.asarray(cv2.resize(found, self._prepare.size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
+        return np.asarray(cv2.resize(found, self.prepare.size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
     def image(self, frame: int) -> Image:
         """Read the undistorted picture (h, w, 3) BGR of a frame at working size.
