@@ -80,14 +80,17 @@ class PoseDetector(Protocol):
     @property
     def keypoint_set(self) -> str:
         """Name of the detector's set of key points, one of `hypose.evidence.keypoints.KEYPOINT_SETS`."""
+        ...
 
     @property
     def identity(self) -> dict[str, Any]:
         """All values that determine the detector's results, as JSON values: program, version, model, settings."""
+        ...
 
     @property
     def gives_masks(self) -> bool:
         """Whether the detector finds masks as well as key points; then several threads may call it at once."""
+        ...
 
     def look(self, image: Image, number: int, before: Sequence[Crop], /) -> list[Sighting]:
         """Detect the people in a picture.
@@ -98,6 +101,7 @@ class PoseDetector(Protocol):
         Returns: one item per person found; empty where there is none. It must depend on these arguments alone, so
             that interrupted work can be resumed.
         """
+        ...
 
 
 @dataclass(frozen=True)
