@@ -38,9 +38,9 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackResult, track_people, track_source
 from hypose.pipeline.sensor_skeletons import assess_fused
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import EVALUATED

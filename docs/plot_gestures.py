@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, TRAINING, picture
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 
 IMAGES = Path(__file__).parent / "images"
 

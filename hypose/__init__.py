@@ -62,7 +62,7 @@ _PLACES = {
     # depth sensors
     "read_skeletons": "hypose.io.sensors.skeleton_files",
     "fuse_clip": "hypose.fusion.fuse",
-    "LiveFuser": "hypose.fusion.live",
+    "LiveFuser": "hypose.fusion.people",
     "load_gesture_model": "hypose.pipeline.gesture_files:load_model",
     # scenes with known truth
     "make_scene": "hypose.synthetic.scenes",

@@ -14,7 +14,7 @@ from hypose.evidence.frame import Silhouettes as Silhouettes
 from hypose.evidence.terms import PointTerm as PointTerm
 from hypose.evidence.terms import RowTerm as RowTerm
 from hypose.fusion.fuse import fuse_clip as fuse_clip
-from hypose.fusion.live import LiveFuser as LiveFuser
+from hypose.fusion.people import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels
 from hypose.inference import resampling as resampling
 from hypose.inference.annealing import FixedAnnealingRate as FixedAnnealingRate

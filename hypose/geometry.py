@@ -233,3 +233,9 @@ def procrustes(
     r = (u * guard) @ vt
     k = float((s * guard).sum() / (w @ ((a - ca) ** 2).sum(1))) if scale else 1.0
     return se3(k * r, cb - k * r @ ca), k
+
+
+def runs(flags: NDArray[np.bool_]) -> list[range]:
+    """Find the consecutive marked frames in flags (T,), as ranges."""
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
+    return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

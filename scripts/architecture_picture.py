@@ -23,7 +23,7 @@ BEFORE = (
 AFTER = (("hypose.io.motions.export", "Write motion files."),)
 ROOMS = ("io", "evidence", "calibration", "tracking", "inference", "fitting", "body", "cameras", "compute")
 """Rooms in the picture's columns; errors, geometry and json_text are used nearly everywhere."""
-_BASICS = ("hypose.body", "hypose.errors", "hypose.geometry", "hypose.pipeline.settings", "hypose.pipeline.trace")
+_BASICS = ("hypose.body", "hypose.errors", "hypose.geometry", "hypose.pipeline.settings")
 """What nearly every pass uses: not named as the modules of a pass."""
 
 _ROW, _TOP, _BOX, _LEFT, _STEP = 48, 118, 500, 16, 40

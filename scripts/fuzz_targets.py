@@ -39,7 +39,7 @@ def targets() -> dict[str, Target]:
     """All targets by name."""
     from hypose.app.batch import read_table
     from hypose.calibration.from_points import read_scene_points
-    from hypose.evidence.keypoints import BODY_25, parse_openpose
+    from hypose.io.keypoints.keypoint_files import parse_openpose
     from hypose.io.motions import meshes, results
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
@@ -52,7 +52,7 @@ def targets() -> dict[str, Target]:
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
         Target("batch-table", "study.csv", read_table),
-        Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
+        Target("openpose-json", "pose.json", lambda b: parse_openpose(b, "pose.json"), lines=True),
         Target("body-npz", "motion/body.npz", results.load_body, "npz"),
         Target("checkpoint-npz", "motion/checkpoint.npz", lambda p: results.Checkpoint.load(p, {}), "npz"),
         Target("gesture-model", "model.npz", load_model, "npz"),

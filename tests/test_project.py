@@ -314,5 +314,5 @@ def test_no_data_is_executed():
     # OpenCap's calibrations, of which an unpickler makes arrays of numbers and nothing else
     assert sorted(found) == [
         "compute/compiled.py from pickle",
-        "io/calibrations/calibration_systems.py import pickle",
+        "io/calibrations/calibration_formats.py import pickle",
     ]

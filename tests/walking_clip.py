@@ -6,8 +6,7 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.default_body import human
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.starts import KNOWN_POSES, start_in_pose
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import KNOWN_POSES, scaled_to_height, start_in_pose
 from hypose.tracking.tracker import Tracker
 
 

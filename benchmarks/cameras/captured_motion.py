@@ -22,8 +22,8 @@ from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.evidence.one_person import one_person
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
-from hypose.synthetic.corruptions import keypoint_places
 from hypose.synthetic.performance import Performance
+from hypose.synthetic.scenes import keypoint_places
 from hypose.synthetic.subjects import SyntheticSubject
 
 LIMBS = tuple(f"{s}_{p}" for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right"))

@@ -18,8 +18,7 @@ from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.online import Learner
 from hypose.gestures.trainer import Trainer
-from hypose.synthetic.gesture_people import Puppet, load_people
-from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
+from hypose.synthetic.gesture_people import GESTURES, Keyframe, Puppet, apply, load_people, movement
 from hypose.synthetic.gesture_scenes import Setting, live_person, make_gesture_room, make_view, render, stand_at
 
 WATCHED_FPS = 5.0

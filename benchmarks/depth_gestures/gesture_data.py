@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, TRAINING, UNSEEN, GestureFrame, Stage, picture
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.online import Example, Learner
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view
 
 TRAINED = tuple(range(12))

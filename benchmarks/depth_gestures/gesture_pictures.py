@@ -11,8 +11,18 @@ from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array, transform
 from hypose.gestures.depth_pictures import KINECT
-from hypose.synthetic.gesture_people import ArmGoal, GesturePerson, Puppet, load_people
-from hypose.synthetic.gesture_poses import GESTURES, Doer, Keyframe, apply, gesture, movement
+from hypose.synthetic.gesture_people import (
+    GESTURES,
+    ArmGoal,
+    Doer,
+    GesturePerson,
+    Keyframe,
+    Puppet,
+    apply,
+    gesture,
+    load_people,
+    movement,
+)
 from hypose.synthetic.gesture_scenes import (
     PICTURE_SIZE,
     GestureRoom,

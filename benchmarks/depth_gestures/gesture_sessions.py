@@ -16,7 +16,7 @@ from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.gestures.online import Example, Learner
 from hypose.gestures.trainer import Trainer
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view
 
 ROUNDS = 6

@@ -18,7 +18,7 @@ from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Scratch, localise
 from hypose.gestures.online import Learner
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 
 
 @dataclass(frozen=True)

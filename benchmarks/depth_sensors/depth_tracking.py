@@ -30,8 +30,7 @@ from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt

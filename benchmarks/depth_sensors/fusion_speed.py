@@ -13,9 +13,9 @@ from benchmarks.depth_sensors.replay import replay
 from benchmarks.synthetic.sensors import SensorRecording
 from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
-from hypose.fusion import live
 from hypose.fusion.fit import FitSettings, fit_step, start_fit
 from hypose.fusion.fuse import fuse_clip
+from hypose.fusion.people import LiveFuser
 from hypose.fusion.register import Registration, register
 from hypose.geometry import Array
 
@@ -84,5 +84,5 @@ def _reports(recording: SensorRecording, persons: int) -> list[SensorReport]:
 
 def simulated_latency(reports: Iterable[SensorReport]) -> Array:
     """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
-    frames = replay(live.LiveFuser(), reports, time.perf_counter)
+    frames = replay(LiveFuser(), reports, time.perf_counter)
     return np.array([1000 * latency for _, latency in frames])

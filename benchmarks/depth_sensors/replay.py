@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from hypose.evidence.frame import SensorReport
-from hypose.fusion.live import LiveFrame, LiveFuser
+from hypose.fusion.people import LiveFrame, LiveFuser
 
 
 def replay(

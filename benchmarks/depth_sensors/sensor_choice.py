@@ -12,9 +12,17 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from benchmarks.synthetic.sensors import HIDDEN_BELOW, SensorRecording
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.register import alone, by_triangles, register, upward
-from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
+from hypose.fusion.swarm import (
+    IMPROVED,
+    PUBLISHED,
+    SwarmSettings,
+    confidence_step,
+    normalised,
+    start_confidence,
+    start_swarm,
+    swarm_step,
+)
 from hypose.geometry import Array
 
 CYCLES = {"t50": (50, 0.0), "t100": (100, 0.0), "adaptive": (100, np.pi / 3), "turn": (0, np.pi / 3)}
@@ -58,7 +66,7 @@ def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
             memory,
             recording.positions[t],
             recording.state[t],
-            recording.joint_depth[t],
+            [recording.joint_depth[t]],
             np.full(sensors, recording.times[t]),
             settings.confidence,
         )

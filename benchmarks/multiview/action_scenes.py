@@ -16,13 +16,12 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import TrackedSubject as TrackedSubject
+from hypose.pipeline.subject import TrackedSubject as TrackedSubject
 from hypose.synthetic.metrics import CARRIERS, EVALUATED, joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from hypose.tracking.recipes import recipe
-from hypose.tracking.starts import start_from_keypoints
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height, start_from_keypoints
 from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
 
 ACTIONS = ("walk", "box", "run", "combo")

@@ -20,15 +20,20 @@ from hypose.compute.parts import covered
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.first_frame import TrackedSubject, first_start
 from hypose.pipeline.run import track_source
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
+from hypose.pipeline.subject import (
+    AnthropometryOptions,
+    SubjectEstimate,
+    TrackedSubject,
+    estimate_subject,
+    first_start,
+)
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.frame_evidence import keypoint_model
+from hypose.tracking.start_search import scaled_to_height
 
 SCALE = 0.5
 """Masks are made at this share of the cameras' size (320 x 240)."""

@@ -26,8 +26,8 @@ from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
 from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.detect_keypoints import detect_keypoints
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
@@ -84,7 +84,7 @@ def detector(options: BenchOptions) -> BenchReport:
 
 def bare(recording: Recording, folder: Path) -> Recording:
     """The recording with nothing but its videos and cameras, written to a folder."""
-    views = tuple(replace(v, background=None, keypoints=None, masks=None) for v in recording.views)
+    views = tuple(v.without("background", "keypoints", "masks") for v in recording.views)
     write_recording(replace(recording, views=views, keypoint_set=None, keypoint_lag=0), folder)
     return load_recording(folder)
 

@@ -30,7 +30,7 @@ from hypose.pipeline.assessment import GOOD, assess
 from hypose.pipeline.frame_anomalies import against_the_clip
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.error_model import WRONG_M, error_models, needs_review
-from hypose.tracking.pose_covariance import joint_group
+from hypose.tracking.refinement import joint_group
 
 _GROUPS = ("torso", "arms", "legs", "head")
 _LEGEND = "scenes: seeds that judge, fitted weights as committed; left-out: refitted without the case, other seeds"

@@ -22,12 +22,15 @@ from hypose.body.default_body import JOINT_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.error_features import FEATURES, MOST_SD, OF_CLIP, clip_features
 from hypose.tracking.error_model import (
     BY_ITSELF,
+    FEATURES,
     GROUPS,
+    MOST_SD,
+    OF_CLIP,
     WRONG_M,
     ErrorModel,
+    clip_features,
     error_level,
     error_models,
     groups_of,

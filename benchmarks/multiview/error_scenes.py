@@ -32,8 +32,8 @@ from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array, procrustes, se3, transform
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.depth_scenes import DepthScene

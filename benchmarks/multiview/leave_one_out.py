@@ -18,9 +18,9 @@ from hypose.evidence.terms import contour_term
 from hypose.fitting import fit_pose
 from hypose.geometry import Array
 from hypose.io.motions.marker_files import read_trc
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smoothing import smooth_poses
 

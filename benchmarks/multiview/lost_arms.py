@@ -21,9 +21,9 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.passes import ClipState, track_clip
 from hypose.pipeline.run import finish, track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList, TrackedPerson, tracker_of
 from hypose.pipeline.track_options import TrackOptions

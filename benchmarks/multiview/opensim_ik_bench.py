@@ -16,8 +16,8 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.marker_files import read_mot, read_trc
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_options import TrackOptions
 
 

@@ -26,11 +26,11 @@ from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import VideoWriter, open_video
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.write_recording import write_scene
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -81,7 +81,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     if options.data is not None and (options.data / "pose2sim_balancing").exists():
         options.progress("balancing", 0, 1)
         real = balancing_recording(options.folder("pose2sim_balancing"))
-        with FrameStream(real, FrameSettings(silhouettes=None)) as points:
+        with FrameStream(real, FrameSettings(masks=False)) as points:
             chosen = SubjectOptions("keypoints", frame_rate=real.frame_rate, girths=False)
             person = find_subject(points.frame, len(points), chosen)
         without = balancing_recording(options.folder("pose2sim_balancing"), keypoints=False)
@@ -198,16 +198,15 @@ def enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
     folder.mkdir(parents=True)
     views = []
     for view in recording.views:
-        made = {}
-        for kind, path in (("video", view.video), ("background", view.background)):
-            assert path is not None
+        made = dict(view.files)
+        for kind in ("video", "background"):
             made[kind] = folder / f"{view.name}-{kind}.mp4"
-            with open_video(path) as reader:
+            with open_video(view.files[kind]) as reader:
                 size = (round(reader.size[0] * factor) // 2 * 2, round(reader.size[1] * factor) // 2 * 2)
                 with VideoWriter(made[kind], recording.frame_rate, size) as writer:
                     for picture in reader:
                         writer.write(np.asarray(cv2.resize(picture, size), dtype=np.uint8))
-        views.append(replace(view, **made))
+        views.append(replace(view, files=made))
     return replace(recording, views=tuple(views))
 
 

@@ -10,9 +10,8 @@ from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, SubjectOptions, estimate_subject, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import population_offsets, with_offsets

@@ -23,12 +23,11 @@ from hypose.geometry import Array, se3, so3_exp
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, load_recording
 from hypose.io.videos.video import open_video
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import KeypointModel
+from hypose.tracking.frame_evidence import KeypointModel, prepare
 
 LIMBS = tuple(
     BODY_25B.index(f"{side}_{part}")
@@ -51,9 +50,8 @@ def balancing_recording(folder: Path, *, keypoints: bool = True) -> Recording:
     views[0] = replace(views[0], image_shift=(6.0, 0.0))
     for n, view in enumerate(views):
         plates = sorted(folder.glob(f"calibration/extrinsics/*cam0{n + 1}*/*.png"))
-        views[n] = replace(
-            view, background=plates[0] if plates else view.background, keypoints=view.keypoints if keypoints else None
-        )
+        views[n] = replace(view, files={**view.files, "background": plates[0]} if plates else view.files)
+        views[n] = views[n] if keypoints else views[n].without("keypoints")
     return replace(recording, rig=CameraRig(tuple(cameras)), views=tuple(views), keypoint_lag=1)
 
 
@@ -189,8 +187,8 @@ def uu4cam_recording(folder: Path) -> Recording:
         pose = se3(rotation, np.ravel(c["tvec"]) / 1000)
         cameras.append(Camera(f"cam{n}", np.array(c["K"]), np.ravel(c["D"]).astype(float), pose, (644, 486)))
         here = folder / f"cam{n}"
-        views.append(ViewSettings(f"cam{n}", video=here / "video.avi", background=here / "background.avi"))
-    n = min(open_video(v.video).n_frames for v in views if v.video)
+        views.append(ViewSettings(f"cam{n}", {"video": here / "video.avi", "background": here / "background.avi"}))
+    n = min(open_video(v.files["video"]).n_frames for v in views)
     return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, n))
 
 
@@ -216,7 +214,7 @@ def real_uu4cam(options: BenchOptions) -> BenchReport:
     masks_iou: list[Array] = []
     hulls: list[Array] = []
     volumes = []
-    theirs = [open_video(v.video.parent / "foreground_mask.avi") for v in recording.views if v.video]
+    theirs = [open_video(v.files["video"].parent / "foreground_mask.avi") for v in recording.views]
     indices = range(0, len(stream), step)
     for k, i in enumerate(indices):
         options.progress("masks and hulls", k, len(indices))

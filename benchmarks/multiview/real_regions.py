@@ -19,13 +19,13 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE
 from hypose.tracking.keypoint_offsets import TOGETHER
-from hypose.tracking.pose_covariance import joint_group
+from hypose.tracking.refinement import joint_group
 
 
 def regions_of_balancing(motion: Motion, evidence: str, reference: Array, reference_error: Array | None) -> list[Row]:

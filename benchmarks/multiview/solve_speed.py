@@ -17,8 +17,8 @@ from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior, prediction_prior
 
 _FAST, _LONG = SolveSettings(), SolveSettings(iterations=60, coarse_iterations=4, tolerance=1e-6)
@@ -104,7 +104,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
     rows: list[Row] = []
-    with FrameStream(balancing_recording(folder), FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(balancing_recording(folder), FrameSettings(masks=False)) as stream:
         rate = stream.recording.frame_rate
         chosen = SubjectOptions("keypoints", frame_rate=rate, girths=False)
         subject = find_subject(stream.frame, len(stream), chosen)

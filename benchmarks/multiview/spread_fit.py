@@ -29,8 +29,7 @@ from hypose.tracking.covariance_calibration import (
 )
 from hypose.tracking.error_model import as_mixture
 from hypose.tracking.joint_features import views_apart
-from hypose.tracking.pose_covariance import joint_group
-from hypose.tracking.refinement import LUMBAR_SD
+from hypose.tracking.refinement import LUMBAR_SD, joint_group
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "spread.json"
 LEVELS = np.arange(0.1, 0.96, 0.05)

@@ -17,7 +17,7 @@ from benchmarks.multiview.product import (
 from hypose.body.default_body import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED, coverage
-from hypose.tracking.pose_covariance import joint_group
+from hypose.tracking.refinement import joint_group
 
 GROUPS = ("torso", "arms", "legs", "head", "all")
 LEVELS = (0.5, 0.9, 0.95)

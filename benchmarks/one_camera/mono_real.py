@@ -12,9 +12,9 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.recorded_frames import masks_of, one_view
+from hypose.pipeline.recorded_frames import needs_masks, one_view
 from hypose.pipeline.run import TrackResult, track_source
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.track_options import TrackOptions
 
 CAMERA = "cam03"
@@ -49,7 +49,7 @@ def mono_real(options: BenchOptions) -> BenchReport:
     n = 16 if options.quick else len(whole.frames)
     options.progress("subject", 0, 1)
     subject_options = SubjectOptions("keypoints", girths=not options.quick, frame_rate=whole.frame_rate)
-    with FrameStream(whole, FrameSettings(silhouettes=None) if options.quick else None) as stream:
+    with FrameStream(whole, FrameSettings(masks=False) if options.quick else None) as stream:
         subject = find_subject(stream.frame, len(stream), subject_options)
     recording = replace(one_view(whole, CAMERA), frame_range=(1, n))  # key points begin with video frame 1
     rows: list[Row] = []
@@ -65,7 +65,7 @@ def _track(recording: Recording, case: str, subject: TrackedSubject) -> TrackRes
     evidence, known = case.split("/")[0], "/one_view" not in case
     height = None if known else subject.body.stature
     options = TrackOptions("monocular", evidence=evidence, height=height, smooth=not case.endswith("/live"))
-    with FrameStream(recording, FrameSettings(silhouettes=masks_of(recording, evidence))) as stream:
+    with FrameStream(recording, FrameSettings(masks=needs_masks(recording, evidence))) as stream:
         return track_source(stream, recording.frame_rate, options, body=subject.body if known else None)
 
 

@@ -14,7 +14,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array, Image, so3_turns
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.recipe import WholeClip, backward_estimates, information, picture_recipe, together
 from hypose.tracking.monocular.settings import MonoSettings
@@ -130,7 +130,7 @@ def _tracker_and_frames(
         picture = Picture(scene.camera, image)
         frames.append(Frame(float(scene.performance.times[i]), i, keypoints=seen, picture=picture))
     search = PictureSearch(
-        scene.body, settings, scene.active, threads=1, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
+        scene.body, settings, scene.active, points=lambda seen, body: keypoint_term(seen, body, scale_px=4.0)
     )
     return Tracker(scene.body, picture_recipe(search), TrackerSettings("both", frame_rate=FRAME_RATE)), frames
 

@@ -24,9 +24,8 @@ from hypose.geometry import Array
 from hypose.pipeline.run import TrackResult, track_people
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
-from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Corruptions, Scene, make_scene
 
 SECONDS, RATE = 4.0, 25.0
 DESYNC = (0, 1, 0, 2)

@@ -27,9 +27,9 @@ from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
-from hypose.pipeline.person_paths import KeypointPeople
 from hypose.pipeline.run import TrackResult, track_people, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_management import KeypointPeople
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act

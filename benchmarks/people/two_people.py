@@ -43,10 +43,9 @@ def _beside(folder: Path, alone: Recording, work: Path) -> Recording:
     both = load_recording(folder)
     views = []
     for view, one, camera in zip(both.views, alone.views, alone.rig, strict=True):
-        assert view.video is not None and one.video is not None
-        images = laid_onto(view.video, one.video, camera.size, _LATER, work / view.name)
-        plain = replace(one, video=None, images=images)  # the man's alone: shift, background
-        views.append(replace(plain, keypoints=view.keypoints))
+        images = laid_onto(view.files["video"], one.files["video"], camera.size, _LATER, work / view.name)
+        files = {**one.without("video").files, "images": images, "keypoints": view.files["keypoints"]}
+        views.append(replace(one, files=files))  # the man's alone: shift, background
     n = len(both.frames) - _LATER
     return replace(
         both, views=tuple(views), rig=alone.rig, keypoint_lag=alone.keypoint_lag, frame_range=None, n_frames=n

@@ -42,7 +42,7 @@ def write_masks(scene: Scene, folder: Path) -> Path:
         for c, camera in enumerate(cameras):
             mask = frame.silhouettes.masks[c, : camera.size[1], : camera.size[0]]
             write_image(folder / camera.name / f"{t:05d}.png", 255 * mask)
-    views = tuple(ViewSettings(c.name, masks=folder / c.name) for c in cameras)
+    views = tuple(ViewSettings(c.name, {"masks": folder / c.name}) for c in cameras)
     write_recording(Recording(folder, folder.name, cameras, views, scene.frame_rate, None, keypoint_set=None), folder)
     return folder
 

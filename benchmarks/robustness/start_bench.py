@@ -53,7 +53,7 @@ if __name__ == "__main__":
 """
 _FUSE = """
 from hypose.app import cli
-from hypose.fusion.live import LiveFuser
+from hypose.fusion.people import LiveFuser
 
 if __name__ == "__main__":
     LiveFuser()

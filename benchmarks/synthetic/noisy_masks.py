@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 
 from hypose.geometry import Mask
-from hypose.synthetic.corruptions import smooth_noise
 from hypose.synthetic.render_rgb import shadow_mask
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, make_scene, smooth_noise
 
 _MASKS = 5
 """First number of the random stream of the masks, in addition to those in `hypose.synthetic.scenes`."""
@@ -111,7 +110,7 @@ def noisy(scene: Scene, faults: MaskFaults = LEVELS["level-1"]) -> NoisyScene:
 def noisy_scene(*given: Any, corruption: Sequence[str] = ("level-1",), **more: Any) -> NoisyScene:
     """Make a scene as `make_scene` does, with faults of its masks.
 
-    corruption: one of LEVELS, and names of `hypose.synthetic.corruptions.CORRUPTIONS`.
+    corruption: one of LEVELS, and names of `hypose.synthetic.scenes.CORRUPTIONS`.
     """
     (level,) = (n for n in corruption if n in LEVELS)
     return noisy(make_scene(*given, corruption=tuple(n for n in corruption if n != level), **more), LEVELS[level])

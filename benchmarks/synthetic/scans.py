@@ -7,7 +7,7 @@ import numpy as np
 from hypose.body.default_body import human
 from hypose.geometry import Array
 from hypose.synthetic.subjects import SyntheticSubject
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 
 def scan_of(subject: SyntheticSubject, arms: str, noise_m: float, rng: np.random.Generator) -> tuple[Array, Array]:

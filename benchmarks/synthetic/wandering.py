@@ -12,10 +12,9 @@ from benchmarks.synthetic.spoilt_keypoints import like_a_detector
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, se3, so3_exp
-from hypose.synthetic.corruptions import keypoint_places
-from hypose.synthetic.motions import act, walk
+from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, centred, chain
-from hypose.synthetic.scenes import DISTORTION, look_at
+from hypose.synthetic.scenes import DISTORTION, keypoint_places, look_at
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
 RATE = 30.0
@@ -61,7 +60,7 @@ def wandering(seed: int, settings: WanderingSettings) -> Wandering:
     if settings.motion == "wander":
         performance = wander(subject, seconds, rng)
     elif settings.motion == "circle":
-        performance = walk(subject, seconds, RATE, rng, radius=rng.uniform(0.8, 1.3))
+        performance = act("walk", subject, seconds, RATE, rng, radius=rng.uniform(0.8, 1.3))
     else:
         performance = act(settings.motion, subject, seconds, RATE, rng)
     world = keypoint_places(subject, performance.rotations, performance.joints)
@@ -116,7 +115,7 @@ def wander(subject: SyntheticSubject, seconds: float, rng: np.random.Generator) 
                 length = rng.uniform(1.2, 3.0)
                 radius = rng.uniform(0.5, 1.6) * rng.choice([-1, 1])
                 pace = {"amplitude": rng.uniform(0.7, 1.05), "speed": rng.uniform(0.7, 1.15)}
-                part = walk(subject, length, RATE, rng, radius=radius, **pace)
+                part = act("walk", subject, length, RATE, rng, radius=radius, **pace)
             parts.append(part)
             total += length - 0.5
         whole = chain("wander", parts, subject)

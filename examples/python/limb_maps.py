@@ -163,7 +163,7 @@ if __name__ == "__main__":
     from hypose.body.default_body import human
     from hypose.compute.part_colours import shown_parts
     from hypose.synthetic.scenes import camera_rig
-    from hypose.tracking.starts import known_pose
+    from hypose.tracking.start_search import known_pose
 
     person, cameras = human(), camera_rig("humaneva-4").pinhole()
     right, wrong = (known_pose(person, name) for name in ("standing", "hands-up"))

@@ -77,8 +77,8 @@ SHAPE_FACTOR_NAMES = tuple(e.name for e in SHAPE_FACTORS)
 
 CLOTHING_UNIT = 0.1
 """m, unit of the factor "clothing", which is not a logarithm but a thickness: 9 +- 6 mm in the prior."""
+# Share of the thickness of clothes by the kind of joint that carries the skin; 1 elsewhere.
 _COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.0}
-"""Share of the thickness of clothes by the kind of joint that carries the skin; 1 elsewhere."""
 
 TABLE_2_1: dict[str, tuple[float, float]] = {
     "shoulder height": (140.0, 17.0),
@@ -148,10 +148,7 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
     normals = vertex_normals(mesh.vertices, mesh.faces)
     share = np.array([_COVERED.get(n.split("_")[-1], 1.0) for n in JOINT_NAMES])
     covered = (share[mesh.skin_index] * mesh.skin_weight).sum(1)
-    out = replace(mesh, vertices=mesh.vertices + thickness * covered[:, None] * normals)
-    if "edges" in mesh.__dict__:
-        out.__dict__["edges"] = mesh.edges
-    return out
+    return mesh.moved(mesh.vertices + thickness * covered[:, None] * normals)
 
 
 def prior_mean() -> Array:
@@ -294,7 +291,9 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
     x /= np.linalg.norm(x)
     basis = np.stack([x, np.cross(normal, x)], 1)
     flat: list[Array] = [np.asarray((loop - point) @ basis, dtype=np.float64) for loop in loops]
-    around = [f for f in flat if _surrounds(f)]
+    # seen from the point, no gap of a loop around it reaches half a turn
+    turns = [np.sort(np.arctan2(f[:, 1], f[:, 0])) for f in flat]
+    around = [f for f, a in zip(flat, turns, strict=True) if np.diff(a, append=a[0] + 2 * np.pi).max() < np.pi]
     if around:
         return _tape(max(around, key=len))
     return _tape(min(flat, key=lambda f: float(np.linalg.norm(f, axis=1).min())))
@@ -325,12 +324,6 @@ def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, nor
     return [one for one in loops if len(one) > 2]
 
 
-def _surrounds(flat: Array) -> bool:
-    """Test whether the points (n, 2) of a loop lie all round the origin: seen from it, no gap reaches half a turn."""
-    angle = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
-    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)
-
-
 def _tape(flat: Array) -> float:
     from scipy.spatial import ConvexHull, QhullError  # takes long to import
 
@@ -340,8 +333,8 @@ def _tape(flat: Array) -> float:
         return 0.0
 
 
+# kg/m^3.
 _DENSITY = 1000.0
-"""kg/m^3."""
 _CUBE = 0.01  # m
 
 
@@ -359,14 +352,11 @@ class SegmentMass:
     inertia: Array
 
 
-def segment_masses(
-    body: Body, segments: Mapping[str, Sequence[str]], mass: float | None = None
-) -> dict[str, SegmentMass]:
+def segment_masses(body: Body, segments: Mapping[str, Sequence[str]]) -> dict[str, SegmentMass]:
     """Compute mass, centre of mass and inertia of body segments from the volume of the mesh.
 
     body: the body at rest.
     segments: by name, the joints that carry the skin of the segment.
-    mass: kg of the whole body; None: its volume times 1000 kg/m^3.
     Returns: by name. A segment without volume (a user's body may have no hands) becomes one cube at its first joint,
         because simulations fail for a segment without mass.
     """
@@ -374,13 +364,11 @@ def segment_masses(
 
     points = _inside(body.fine)
     carrier = body.fine.main_joint[KDTree(body.fine.vertices).query(points)[1]]
-    density = _DENSITY if mass is None else mass / (len(points) * _CUBE**3)
-    out = {}
+    each, out = _DENSITY * _CUBE**3, {}
     for name, joints in segments.items():
         own = points[np.isin(carrier, [body.skeleton.joint(j) for j in joints])]
         if not len(own):
             own = body.skeleton.rest_joints[[body.skeleton.joint(joints[0])]]
-        each = density * _CUBE**3
         centre = own.mean(0)
         d = own - centre
         squares = (d * d).sum()

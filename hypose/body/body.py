@@ -97,6 +97,13 @@ class Mesh:
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
         return np.asarray(weights, dtype=np.float64).reshape(v, n_joints)
 
+    def moved(self, vertices: Array) -> Mesh:
+        """Copy the mesh with other vertices (V, 3), m."""
+        out = replace(self, vertices=vertices)
+        if "edges" in self.__dict__:  # the topology is the same; building it again would dominate a shape search
+            out.__dict__["edges"] = self.edges
+        return out
+
     @cached_property
     def rings(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Faces around each vertex, as a pair (first, rows).
@@ -276,8 +283,11 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
             offsets[j] = (
                 offsets[j] * shape.length.get(names[p], 1.0) * np.asarray(shape.offset.get(names[j], (1, 1, 1)))
             )
-    skeleton = _with_offsets(s, offsets)
+    # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
+    skeleton = replace(s, rest_offsets=offsets)
     new = skeleton.rest_joints
+    if "tree" in s.__dict__:  # the tree is the same except for the joints' positions
+        skeleton.__dict__["tree"] = s.tree._replace(joints=np.ascontiguousarray(new - new[0]))
 
     # the skin about a joint stretches along an axis and widens across it
     girths, stretch, axes = np.ones((len(names), 3)), np.ones(len(names)), np.tile([0.0, 0.0, 1.0], (len(names), 1))
@@ -298,22 +308,10 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
         moved = np.einsum("vab,vb->va", turned, v) + np.einsum(
             "vj,ja->va", w, new - np.einsum("jab,jb->ja", change, old)
         )
-        out = replace(mesh, vertices=moved)
-        if "edges" in mesh.__dict__:  # the topology is the same; building it again would dominate a shape search
-            out.__dict__["edges"] = mesh.edges
-        return out
+        return mesh.moved(moved)
 
     marks = body.landmarks
     moved_marks = np.einsum("lab,lb->la", change[marks.joint], marks.offset)
     coarse = deform_mesh(body.coarse)
     fine = coarse if body.fine is body.coarse else deform_mesh(body.fine)  # shape searches have no display mesh
     return Body(name or body.name, skeleton, coarse, fine, replace(marks, offset=moved_marks))
-
-
-def _with_offsets(skeleton: Skeleton, offsets: Array) -> Skeleton:
-    # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
-    out = replace(skeleton, rest_offsets=offsets)
-    if "tree" in skeleton.__dict__:  # the tree is the same except for the joints' positions
-        joints = np.ascontiguousarray(out.rest_joints - out.rest_joints[0])
-        out.__dict__["tree"] = skeleton.tree._replace(joints=joints)
-    return out

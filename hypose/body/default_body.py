@@ -97,14 +97,19 @@ def _hinge_axis(name: str, kind: str, axis_name: str, joints: Array) -> Array:
     return np.array(fixed[axis_name])
 
 
+def asset_arrays(name: str) -> dict[str, np.ndarray]:
+    """Load the arrays of an .npz file that is shipped with the package, by its name in hypose/assets."""
+    with resources.files("hypose.assets").joinpath(name).open("rb") as file:
+        return dict(np.load(file, allow_pickle=False))
+
+
 @lru_cache(maxsize=1)
 def human() -> Body:
     """Load the default body: 36 dof on the template made from MakeHuman's CC0 data (hypose/assets/LICENSE-assets.md).
 
     Returns: the body in metres; every call returns the same object, so it must not be changed.
     """
-    with resources.files("hypose.assets").joinpath("template.npz").open("rb") as file:
-        data = dict(np.load(file, allow_pickle=False))
+    data = asset_arrays("template.npz")
 
     def mesh(level: str) -> Mesh:
         return Mesh(

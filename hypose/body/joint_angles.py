@@ -202,7 +202,7 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
         for upper, lower, axis in (("hip", "knee", side), ("shoulder", "elbow", -side)):
             u, lo = f"{left_right}_{upper}", f"{left_right}_{lower}"
             bone, hinge = skeleton.rest_offsets[skeleton.joint(lo)], hinge_axis(skeleton, lo)
-            frames[u] = _frame(down, axis) @ _frame(bone, hinge).T
+            frames[u] = frame_of(down, axis) @ frame_of(bone, hinge).T
             frames[lo] = frames[u] @ so3_exp(-straight_offset(skeleton, lo) * hinge)
         # hands have no joint of their own: they go with the forearm
         frames[f"{left_right}_wrist"] = frames[f"{left_right}_elbow"]
@@ -248,14 +248,14 @@ def hinge_axis(skeleton: Skeleton, name: str) -> Array:
     return skeleton.axes[dofs[0]]
 
 
-def _frame(first: Array, second: Array) -> Array:
+def frame_of(first: ArrayLike, second: ArrayLike) -> Array:
     """Make the rotation matrix (3, 3) of two directions (3,).
 
-    Returns: columns: unit vector along `first`; unit vector along the part of `second` perpendicular to it; their cross
-        product.
+    Its columns are `first`, the part of `second` across it, and their cross product, normalised.
     """
-    a = first / np.linalg.norm(first)
-    b = second - (second @ a) * a
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    a = a / np.linalg.norm(a)
+    b = b - (b @ a) * a
     b = b / np.linalg.norm(b)
     return np.stack([a, b, np.cross(a, b)], axis=1)
 

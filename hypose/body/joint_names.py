@@ -16,30 +16,25 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array, procrustes, transform
 
-
-def _sided(rows: Mapping[str, str], left: str, right: str) -> dict[str, str]:
-    return {f"{s}_{k}": v.format(word) for s, word in (("left", left), ("right", right)) for k, v in rows.items()}
-
-
 MIXAMO: Mapping[str, str] = {
     "pelvis": "Hips",
     "spine": "Spine",
     "chest": "Spine1",
     "neck": "Neck",
     "head": "Head",
-    **_sided(
-        {
-            "clavicle": "{}Shoulder",
-            "shoulder": "{}Arm",
-            "elbow": "{}ForeArm",
-            "wrist": "{}Hand",
-            "hip": "{}UpLeg",
-            "knee": "{}Leg",
-            "ankle": "{}Foot",
-        },
-        "Left",
-        "Right",
-    ),
+    **{
+        f"{side.lower()}_{joint}": side + bone
+        for side in ("Left", "Right")
+        for joint, bone in {
+            "clavicle": "Shoulder",
+            "shoulder": "Arm",
+            "elbow": "ForeArm",
+            "wrist": "Hand",
+            "hip": "UpLeg",
+            "knee": "Leg",
+            "ankle": "Foot",
+        }.items()
+    },
 }
 """Bone of a Mixamo rig that starts at each joint (without the prefix "mixamorig:")."""
 
@@ -131,7 +126,9 @@ def match_rig(
             "as in docs/own-body.md, or rig the mesh again without its skin."
         )
     found |= _trunk(found, p, at)
-    owner = _owners(found, p)
+    # each joint's weight goes to itself if it is one of the 19 joints, else to its nearest ancestor that is
+    ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
+    owner = [next((ours[a] for a in _chain(k, p) if a in ours), 0) for k in range(len(p))]
     dense = np.asarray(weights, dtype=np.float64)
     out = np.zeros((len(dense), len(JOINT_NAMES)))
     for k in range(len(names)):
@@ -142,7 +139,11 @@ def match_rig(
             f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; give them weights first."
         )
     absent = tuple(n for n in JOINT_NAMES if n not in found)
-    return MatchedRig(_placed(found, at), out / total, absent)
+    # the joints that the rig lacks are placed by the similarity that brings the template's nearest to the rig's
+    rest, have, there = human().skeleton.rest_joints, [JOINT_NAMES.index(n) for n in found], at[list(found.values())]
+    placed = transform(procrustes(rest[have], there, scale=True)[0], rest)
+    placed[have] = there
+    return MatchedRig(placed, out / total, absent)
 
 
 def _plain(name: str) -> tuple[str, str]:
@@ -199,48 +200,15 @@ def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> d
     at: (n, 3) joint centres.
     Returns: index by name; a joint is left out where none lies near its usual share of the way.
     """
-    top = found.get("neck", found["head"])
-    between = [k for k in _chain(top, parents)[1:] if k not in found.values()]
+    top, pelvis = found.get("neck", found["head"]), found["pelvis"]
     chain = _chain(top, parents)
-    if found["pelvis"] in chain:
-        between = [k for k in between if chain.index(k) < chain.index(found["pelvis"])]
-    rest = human().skeleton.rest_joints
-    names = JOINT_NAMES
-    whole = at[top] - at[found["pelvis"]]
-    length = float(whole @ whole)
-    out: dict[str, int] = {}
+    between = chain[1 : chain.index(pelvis)] if pelvis in chain else chain[1:]
+    rest, whole, out = human().skeleton.rest_joints, at[top] - at[pelvis], dict[str, int]()
+    neck = rest[JOINT_NAMES.index("neck")]
     for name in ("chest", "spine"):
-        own = (
-            rest[names.index(name)]
-            @ rest[names.index("neck")]
-            / (rest[names.index("neck")] @ rest[names.index("neck")])
-        )
-        free = [k for k in between if k not in out.values()]
-        shares = [abs(float((at[k] - at[found["pelvis"]]) @ whole) / max(length, 1e-12) - own) for k in free]
+        own = rest[JOINT_NAMES.index(name)] @ neck / (neck @ neck)
+        free = [k for k in between if k not in (*found.values(), *out.values())]
+        shares = [abs(float((at[k] - at[pelvis]) @ whole) / max(float(whole @ whole), 1e-12) - own) for k in free]
         if free and min(shares) < 0.2:
             out[name] = free[int(np.argmin(shares))]
-    return out
-
-
-def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Find for every joint of the rig the one of the 19 joints that takes its weight: itself, or the nearest ancestor
-    found.
-    """
-    ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
-    return np.array([next((ours[a] for a in _chain(k, parents) if a in ours), 0) for k in range(len(parents))])
-
-
-def _placed(found: Mapping[str, int], at: Array) -> Array:
-    """Compute the positions of all joints; those that the rig lacks by the template's proportions.
-
-    found: index in the rig by our name.
-    at: (n, 3) joint centres of the rig.
-    Returns: (19, 3).
-    """
-    rest, names = human().skeleton.rest_joints, JOINT_NAMES
-    have = np.array([names.index(n) for n in found])
-    there = at[list(found.values())]
-    # the similarity that brings the template's joints nearest to the rig's
-    out = transform(procrustes(rest[have], there, scale=True)[0], rest)
-    out[have] = there
     return out

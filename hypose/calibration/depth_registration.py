@@ -20,7 +20,7 @@ from hypose.evidence.depth_evidence import SurfacePoints
 from hypose.evidence.terms import BODY_SD, DepthTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_depth
-from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.align import offset_by_movement
 from hypose.fusion.register import robust_motion
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.tracking.refinement import anatomical_prior

@@ -10,7 +10,7 @@ Silhouettes against each other: the planes through two camera centres that are t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,24 +81,24 @@ class Alignment:
 
 
 def limb_offsets(
-    points: Array, velocities: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
+    points: Array, velocities: Array, names: Sequence[str], masks: Mapping[int, NDArray[np.uint8]], lag: int
 ) -> LimbOffsets:
     """Measure the offsets between limbs and masks in one view.
 
     points: (T, K, 3) px of the masks, and confidence.
     velocities: (T, K, 2) px per frame.
     names: K names of the key points.
-    masks: T masks (h, w) or None; mask t + lag is compared with points t.
+    masks: masks (h, w) by frame; mask t + lag is compared with points t.
     """
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
     bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
     parts: list[Array] = [np.zeros((0, 10))]
     for t, p in enumerate(points):
-        mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
         size = person_size(p, least=5)
-        if mask is None or size <= 0 or len(limbs) == 0:
+        if t + lag not in masks or size <= 0 or len(limbs) == 0:
             continue
+        mask = masks[t + lag]
         reach = 0.14 * size
         bone = p[limbs[:, 1], :2] - p[limbs[:, 0], :2]
         length = np.linalg.norm(bone, axis=1)
@@ -182,7 +182,7 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
 
 
 def align_to_masks(
-    points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
+    points: Array, names: Sequence[str], masks: Mapping[int, NDArray[np.uint8]], largest: int = 6
 ) -> Alignment | None:
     """Estimate the lag and shift between the key points and the masks of one view.
 
@@ -191,7 +191,7 @@ def align_to_masks(
 
     points: (T, K, 3) px of the masks, and confidence.
     names: K names of the key points.
-    masks: T masks (h, w) or None.
+    masks: masks (h, w) by frame.
     largest: largest lag, frames.
     Returns: None where too few limbs are seen.
     Why: the shift's standard deviation counts limbs, not frames, because the error of a limb is the same all the time
@@ -275,15 +275,13 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
     return x, np.sqrt(np.maximum(by_limb, by_frame))
 
 
-def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
-    """List the usable masks (h, w) of one view in each frame, without padding; None where there is none."""
-    out: list[NDArray[np.uint8] | None] = []
-    for s in silhouettes:
-        if s is None or not s.usable[view]:
-            out.append(None)
-        else:
+def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> dict[int, NDArray[np.uint8]]:
+    """Collect the usable masks (h, w) of one view, without padding, by frame."""
+    out = {}
+    for t, s in enumerate(silhouettes):
+        if s is not None and s.usable[view]:
             w, h = s.rig[view].size
-            out.append(s.masks[view, :h, :w])
+            out[t] = s.masks[view, :h, :w]
     return out
 
 

@@ -9,7 +9,7 @@ shares of the person's size in the image, so that limits are valid for any resol
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -383,7 +383,8 @@ class Observed:
     """Evidence of consecutive frames of one recording, for the diagnostics.
 
     rig: the calibrated cameras, with lens distortion.
-    keypoints: (C, T, K, 3) px of the calibrated, distorted images, and confidence (0: missing).
+    keypoints: (C, T, K, 3) px of the calibrated, distorted images, and confidence (0: missing); T and K are 0 without
+        key points.
     names: K names of the key points.
     silhouettes: T, undistorted, at any working size. They must be made without the key points, because otherwise they
         agree with them in any case.
@@ -395,7 +396,7 @@ class Observed:
     """
 
     rig: CameraRig
-    keypoints: Array | None = None
+    keypoints: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 3)))
     names: tuple[str, ...] = ()
     silhouettes: Sequence[Silhouettes | None] = ()
     clips: tuple[ViewFile, ...] = ()
@@ -410,14 +411,14 @@ class Cured:
     """The evidence after the faults were undone.
 
     rig: corrected cameras.
-    keypoints: synchronous key points in the right place.
+    keypoints: synchronous key points in the right place, as in `Observed`.
     late: (C,) delay of each view, frames.
     shift: (C, 2) x and y to add to image positions of each view, px of the calibrated size.
     keypoint_lag: number of frames: key points of frame t belong to video frame t + keypoint_lag.
     """
 
     rig: CameraRig
-    keypoints: Array | None
+    keypoints: Array
     late: Array
     shift: Array
     keypoint_lag: int
@@ -439,7 +440,7 @@ def examine(observed: Observed) -> tuple[PersonReport, Cured]:
     ]
     by_depth = depth_findings(observed.depths)
     findings += by_depth
-    if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
+    if (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # for depth cameras, masks give no better information: their faults follow from those of the depth maps
         findings += [] if any(f.fault for f in by_depth) else found
@@ -490,7 +491,7 @@ def _against_masks(
     """
     shift = np.zeros((len(observed.rig), 2))
     small = next((s.rig for s in observed.silhouettes if s is not None), None)
-    if small is None or observed.keypoints is None:
+    if small is None:
         return None, 0, shift
     uv, confidence = undistorted(observed.rig, observed.keypoints)
     cured, cured_confidence = undistorted(observed.rig, pixels)

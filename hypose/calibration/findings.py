@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_evidence import Depth, in_world
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_evidence import Depth, camera_on_floor, in_world
 from hypose.geometry import transform
 
 INVALID, REVIEW, INFO = "invalid", "review", "info"

@@ -14,7 +14,7 @@ from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
-from hypose.io.calibrations.calibration_camera import UNITS, numbers
+from hypose.io.calibrations.camera_tables import UNITS, numbers
 from hypose.io.files import read_toml
 
 _LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens

@@ -21,7 +21,7 @@ from hypose.compute.losses import lorentzian
 from hypose.errors import EvidenceError
 from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
-from hypose.io.calibrations import calibration_camera
+from hypose.io.calibrations.camera_tables import rescaled
 
 # ---- refine camera -------------------------------------------------------------------------------------------------
 # Small changes of cameras as unknowns of a least-squares problem, and the gauge: which world a refined rig lives in.
@@ -146,7 +146,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
 def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
     """Multiply all lengths of a rig by a factor."""
-    return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
+    return CameraRig(tuple(rescaled(c, factor) for c in rig))
 
 
 _Shared = tuple[list[Camera], Array]

@@ -15,7 +15,7 @@ Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf an
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -196,43 +196,32 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
         raise EvidenceError("There are no silhouettes to take the timing from.")
     out = []
     for c, (w, h) in enumerate(known.rig.sizes.tolist()):
-        outline: list[Array | None] = []
-        change: list[Array | None] = []
+        outline: list[Array | None] = [None] * len(silhouettes)
+        change: list[Array | None] = [None] * len(silhouettes)
         area, cut = np.zeros(len(silhouettes)), np.zeros(len(silhouettes), dtype=bool)
-        masks: list[NDArray[np.uint8] | None] = []
-        for t, s in enumerate(silhouettes):
-            mask = None
-            if s is not None and s.usable[c]:
-                mask = biggest_parts(s.masks[c, :h, :w], 0.2)
-                mask = mask if mask.any() else None
-            masks.append(mask)
-            if mask is None:
-                outline.append(None)
-            else:
-                points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-                hull = cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
-                outline.append(hull)
-                area[t] = mask.sum()
-                cut[t] = bool(mask[:2].any() or mask[-2:].any() or mask[:, :2].any() or mask[:, -2:].any())
-        steady = [_majority(masks, t) for t in range(len(masks))]
-        for t in range(len(masks)):
-            x, y = (steady[k] if 0 <= k < len(masks) else None for k in (t - _SPAN, t + _SPAN))
-            if x is None or y is None:
-                change.append(None)
-                continue
-            moved = cv2.morphologyEx(x ^ y, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-            found = cv2.findNonZero(moved)
-            change.append(np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64))
+        seen = {t: s.masks[c, :h, :w] for t, s in enumerate(silhouettes) if s is not None and s.usable[c]}
+        masks = {t: person for t, mask in seen.items() if (person := biggest_parts(mask, 0.2)).any()}
+        for t, mask in masks.items():
+            points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            outline[t] = cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
+            area[t] = mask.sum()
+            cut[t] = bool(mask[:2].any() or mask[-2:].any() or mask[:, :2].any() or mask[:, -2:].any())
+        steady = {t: _majority(masks, t) for t in masks}
+        for t in range(len(silhouettes)):
+            if {t - _SPAN, t + _SPAN} <= steady.keys():
+                differing = steady[t - _SPAN] ^ steady[t + _SPAN]
+                found = cv2.findNonZero(cv2.morphologyEx(differing, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+                change[t] = np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
         out.append(MaskTrack(tuple(outline), tuple(change), area, cut))
     return out
 
 
-def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.uint8] | None:
+def _majority(masks: Mapping[int, NDArray[np.uint8]], t: int) -> NDArray[np.uint8]:
     """Compute the majority of three neighbouring masks, because edges flicker from frame to frame."""
-    near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
-    if masks[t] is None or len(near) < 3 or any(m is None for m in near):
+    near = [masks[k] for k in (t - 1, t, t + 1) if k in masks]
+    if len(near) < 3:
         return masks[t]
-    total = np.sum([m for m in near if m is not None], axis=0)
+    total = np.sum(near, axis=0)
     return np.asarray(total >= 2, dtype=np.uint8)
 
 

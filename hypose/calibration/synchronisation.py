@@ -53,7 +53,7 @@ class FrameSequence(Protocol):
 
 def offsets_from_motion(
     rig: CameraRig,
-    keypoints: tuple[Array, Array] | None,
+    keypoints: tuple[Array, Array],
     silhouettes: Sequence[Silhouettes | None] = (),
     *,
     largest: float = 12.0,
@@ -61,15 +61,14 @@ def offsets_from_motion(
     """Estimate the delay of each view from consecutive frames of key points, silhouettes or both.
 
     rig: the calibrated cameras.
-    keypoints: undistorted px (C, T, K, 2) of the calibrated size, and confidence (C, T, K).
+    keypoints: undistorted px (C, T, K, 2) of the calibrated size, and confidence (C, T, K); K is 0 without key points.
     silhouettes: T, at any working size.
     largest: largest offset that is searched, frames.
     Raises: EvidenceError where the recording is too short or no person moves.
     """
     curves: Curves | None = None
-    n = len(rig)
-    if keypoints is not None:
-        pixels, confidence = keypoints
+    pixels, confidence = keypoints
+    if pixels.size:
         curves = keypoint_curves(rig, pixels, confidence, largest, point_sd(pixels, confidence))
     rig_of_masks = next((s.rig for s in silhouettes if s is not None), None)
     if rig_of_masks is not None:
@@ -79,7 +78,7 @@ def offsets_from_motion(
         curves = more if curves is None else curves + replace(more, cost=_MASK_SHARE * more.cost)
     if curves is None:
         raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")
-    return solve_offsets(curves, n)
+    return solve_offsets(curves, len(rig))
 
 
 def point_sd(pixels: Array, confidence: Array) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.compiled import kernel
 from hypose.compute.zbuffer import draw_faces, inverse_depth
 
 NEAR = 0.2
@@ -29,52 +28,6 @@ def draw(
     p = np.asarray(points_camera, dtype=np.float64)
     near = inverse_depth(p[:, 2], NEAR)
     draw_faces(p[:, :2] * near[:, None] * lens[:2] + lens[2:], near, faces, inverse)
-
-
-@kernel
-def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
-    """Convert a drawn scene to what the sensor delivers; see `sense`.
-
-    inverse: (h, w) f4 inverse depth, 1/m; 0: nothing.
-    fx, baseline: focal length, px, and distance of the projector, m.
-    smooth: (h / 8 + 2, w / 8 + 2) f4 normal numbers of the smooth noise.
-    rows: (h, 2) places in the tables at which each row begins.
-    normals, uniforms: (TABLE,) f4 random numbers.
-    out: (h, w) u2 gets mm, 0 = hole.
-    """
-    h, w = inverse.shape
-    for y in range(h):
-        reached = -1e9
-        r, r2 = rows[y, 0], rows[y, 1]
-        for x in range(w):
-            out[y, x] = 0
-            seen = inverse[y, x]
-            # the projector stands next to the camera: going along the baseline, a point is lit only when it lies
-            # beyond every column that was lit before it
-            if seen > 0:
-                lit = x + fx * baseline * seen
-                if lit < reached - 1.5:
-                    continue
-                reached = max(reached, lit)
-            n0, n1 = normals[(r + x * 3) & (TABLE - 1)], normals[(r2 + x * 5 + 1) & (TABLE - 1)]
-            xx, yy = int(x + n0 * 0.6 + 0.5), int(y + n1 * 0.6 + 0.5)
-            xx, yy = min(max(xx, 1), w - 2), min(max(yy, 1), h - 2)
-            v = inverse[yy, xx]
-            if v < 1 / 7.5 or v > 2.0:
-                continue
-            z = 1.0 / v
-            # the smaller of the two one-sided differences: else every silhouette would be a hole
-            ax = min(abs(inverse[yy, xx + 1] - v), abs(v - inverse[yy, xx - 1]))
-            ay = min(abs(inverse[yy + 1, xx] - v), abs(v - inverse[yy - 1, xx]))
-            slope = max(ax, ay) * z * fx
-            if slope > 4 and uniforms[(r + x * 7) & (TABLE - 1)] < min(0.85, (slope - 4) * 0.06):
-                continue
-            if uniforms[(r2 + x * 11) & (TABLE - 1)] < 0.002 + 0.0008 * z * z:
-                continue
-            d = fx * baseline * v + smooth[y // 8, x // 8] * 0.03 + normals[(r2 + x * 13 + 5) & (TABLE - 1)] * 0.05
-            d = np.floor(d * 8 + 0.5) / 8
-            if d > 0:
-                out[y, x] = min(65535, int(1000 * fx * baseline / d + 0.5))
 
 
 def _tables() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -103,7 +56,32 @@ def sense(
     """
     h, w = inverse.shape
     smooth = rng.standard_normal((h // 8 + 2, w // 8 + 2)).astype(np.float32)
-    rows = rng.integers(0, TABLE, (h, 2))
-    out = np.empty((h, w), np.uint16)
-    _sense(inverse, float(fx), float(baseline), smooth, rows, _NORMALS, _UNIFORMS, out)
-    return out
+    first, second = np.moveaxis(rng.integers(0, TABLE, (h, 2)), 1, 0)[..., None]
+    x, y = np.arange(w), np.arange(h)[:, None]
+
+    def noise(table: NDArray[np.float32], begin: NDArray[np.int64], step: int, shift: int = 0) -> NDArray[np.float64]:
+        """Read the random numbers (h, w) of a table from the places (h, 1) on at which the rows begin."""
+        return table[(begin + x * step + shift) & (TABLE - 1)].astype(np.float64)
+
+    # the projector stands next to the camera: going along the baseline, a point is lit only when it lies beyond every
+    # column that was lit before it
+    lit = np.where(inverse > 0, x + fx * baseline * inverse.astype(np.float64), -1e9)
+    shown = (inverse <= 0) | (lit >= np.maximum.accumulate(lit, 1) - 1.5)
+    across = np.clip((x + noise(_NORMALS, first, 3) * 0.6 + 0.5).astype(np.int64), 1, w - 2)
+    down = np.clip((y + noise(_NORMALS, second, 5, 1) * 0.6 + 0.5).astype(np.int64), 1, h - 2)
+    v = inverse[down, across].astype(np.float64)
+    z = 1 / np.maximum(v, 1e-6)
+    # the smaller of the two one-sided differences: else every silhouette would be a hole
+    steps = (
+        np.minimum(abs(inverse[down + a, across + b] - v), abs(v - inverse[down - a, across - b]))
+        for a, b in ((0, 1), (1, 0))
+    )
+    slope = np.maximum(*steps) * z * fx
+    shown &= (v >= 1 / 7.5) & (v <= 2.0)
+    shown &= (slope <= 4) | (noise(_UNIFORMS, first, 7) >= np.minimum(0.85, (slope - 4) * 0.06))
+    shown &= noise(_UNIFORMS, second, 11) >= 0.002 + 0.0008 * z * z
+    d = fx * baseline * v + smooth[y // 8, x // 8] * 0.03 + noise(_NORMALS, second, 13, 5) * 0.05
+    d = np.floor(d * 8 + 0.5) / 8
+    shown &= d > 0
+    millimetres = np.minimum(65535, 1000 * fx * baseline / np.where(shown, d, 1.0) + 0.5)
+    return np.where(shown, millimetres, 0).astype(np.uint16)

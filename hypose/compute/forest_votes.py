@@ -71,47 +71,16 @@ def _place(picture, span, i, j, stride):
 
 
 @kernel
-def _coarse_pass(picture, span, records, table, first, least, stride, wanted):
-    """Scan a coarse grid with the first trees only, and mark the cells worth a full scan.
-
-    picture, span: padded depth picture, and the nearest and farthest depth to scan, mm.
-    records: (R, 8) i2 of all forests.
-    table: (G, 4) i8: first record, nodes per tree, trees, clipping distance.
-    wanted: (ceil(rows / stride), ...) u4 gets bit g where the mean of forest g's first trees' shares, at the cell or at
-        a neighbour, reaches `least`.
-    """
-    rows, columns = wanted.shape
-    wanted[:] = 0
-    for i in range(rows):
-        for j in range(columns):
-            c = _place(picture, span, i, j, stride)
-            if c < 0:
-                continue
-            d = i4(picture.flat[u8(c)])
-            s = f4(picture.focal / d)
-            for g in range(table.shape[0]):
-                base, nodes, trees, clip = u8(table[g, 0]), u8(table[g, 1]), min(first, table[g, 2]), i4(table[g, 3])
-                a = 0
-                for _ in range(trees):
-                    a += records[
-                        _leaf(picture.flat, picture.width, u8(c), d, s, d - clip, d + clip, records, base), u8(6)
-                    ]
-                    base += nodes
-                if a >= least * PROBABILITY * trees:
-                    for u in range(max(0, i - 1), min(rows, i + 2)):
-                        for v in range(max(0, j - 1), min(columns, j + 2)):
-                            wanted[u, v] |= np.uint32(1) << np.uint32(g)
-
-
-@kernel
 def _scan(picture, span, records, table, first, least, stride, wanted, ratio, out):
     """Compute the mean share of class 1 of each forest on the grid, into out (G, ceil(rows / stride), ...) f4.
 
-    wanted: bits of the cells of the coarse grid that are scanned.
-    picture, span, records, table: as in `_coarse_pass`.
+    wanted: (ceil(rows / ratio), ...) u4, bit g is set in the cells of the coarse grid that forest g scans.
+    picture, span: padded depth picture, and the nearest and farthest depth to scan, mm.
+    records: (R, 8) i2 of all forests.
+    table: (G, 4) i8: first record, nodes per tree, trees, clipping distance.
     first, least: a cell is rejected where the mean over the first trees stays below `least`, or that over twice as many
         below 1.5 `least` (first = 0: no rejection).
-    wanted, ratio: result of `_coarse_pass`, and grid cells per coarse cell (0: not used).
+    ratio: grid cells per coarse cell (0: all cells are scanned).
 
     It is 0 where there is no depth, where the forest's bit in wanted is not set, and where the cell is rejected.
     """
@@ -241,9 +210,13 @@ def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int],
     shape = _grid_shape(picture, plan.stride)
     out, wanted = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32)
     wide = plan.coarse if plan.first else 0
-    if wide:
-        wanted = np.empty(_grid_shape(picture, plan.stride * wide), np.uint32)
-        _coarse_pass(picture, span, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    if wide:  # the first trees alone; a cell is worth a full scan where it or a neighbour has a large share
+        few = np.array(table)
+        few[:, 2] = np.minimum(few[:, 2], plan.first)
+        rough = np.empty((len(packed), *_grid_shape(picture, plan.stride * wide)), np.float32)
+        _scan(picture, span, joined, few, 0, plan.least, plan.stride * wide, wanted, 0, rough)
+        near = [cv2.dilate((g >= np.float32(plan.least)).view(np.uint8), np.ones((3, 3), np.uint8)) for g in rough]
+        wanted = np.bitwise_or.reduce([g.astype(np.uint32) << np.uint32(k) for k, g in enumerate(near)])
     _scan(picture, span, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
     return out
 

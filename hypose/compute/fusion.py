@@ -1,4 +1,4 @@
-"""Fit one frame of fused skeletons, and compute its uncertainty (kernels).
+"""Fit one frame of fused skeletons, and compute its uncertainty.
 
 Missing joints are marked by a weight of 0, never by NaN alone.
 """
@@ -8,18 +8,28 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.losses import lorentzian_kernel as lorentzian
+from hypose.compute.losses import lorentzian
+from hypose.geometry import Array
 
 
-@kernel
 def fit_frame(
-    points, weights, predicted, prior_weight, bones, lengths, bone_weight, data_weight, scale, coarse, iterations, x,
-    share, variance,
-):  # fmt: skip
+    points: Array,
+    weights: Array,
+    predicted: Array,
+    prior_weight: Array,
+    bones: NDArray[np.int64],
+    lengths: Array,
+    bone_weight: Array,
+    data_weight: float,
+    scale: float,
+    coarse: float,
+    iterations: int,
+) -> tuple[Array, Array, Array]:
     """Fit the 3D joints of one frame to the joints of K sensors, constant bone lengths and a prediction, by graduated
-    Gauss-Newton.
+    Gauss-Newton from the prediction.
 
     It minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 + 1/2 sum_j
     p_j |x_j - predicted_j|^2.
@@ -34,64 +44,34 @@ def fit_frame(
     data_weight: d, 1/m^2.
     scale: c, m, multiplied by coarse, coarse / 2, ... down to 1.
     iterations: number of steps.
-    x: (J, 3) m, start; gets the result.
-    share: (K, J) gets the share of each sensor in each joint.
-    variance: (J,) gets m^2 per axis, of the quadratic at the result.
+    Returns: joints (J, 3) m; share of each sensor in each joint (K, J); variance (J,) m^2 per axis, of the quadratic at
+        the result.
     """
-    sensors, joints = weights.shape
-    n = 3 * joints
-    h, g, u = np.empty((n, n)), np.empty(n), np.empty(3)
-    for it in range(iterations + 1):
-        c = scale * max(1.0, coarse / 2.0**it)
-        h[:] = 0.0
-        for j in range(joints):
-            total = prior_weight[j]
-            for a in range(3):
-                g[3 * j + a] = prior_weight[j] * (predicted[j, a] - x[j, a])
-            for k in range(sensors):
-                share[k, j] = 0.0
-                if weights[k, j] > 0:
-                    dx = points[k, j, 0] - x[j, 0]
-                    dy = points[k, j, 1] - x[j, 1]
-                    dz = points[k, j, 2] - x[j, 2]
-                    w = lorentzian((dx * dx + dy * dy + dz * dz) / (c * c), weights[k, j] * data_weight)[1]
-                    share[k, j] = w
-                    g[3 * j] += w * dx
-                    g[3 * j + 1] += w * dy
-                    g[3 * j + 2] += w * dz
-                    total += w
-            for a in range(3):
-                h[3 * j + a, 3 * j + a] = total
-        for b in range(bones.shape[0]):
-            i, j = bones[b, 0], bones[b, 1]
-            d = 1e-12
-            for a in range(3):
-                u[a] = x[i, a] - x[j, a]
-                d += u[a] * u[a]
-            d = math.sqrt(d)
-            stiff = bone_weight[b] if lengths[b] > 0 else 0.0
-            for a in range(3):
-                u[a] /= d
-                g[3 * i + a] += stiff * (lengths[b] - d) * u[a]
-                g[3 * j + a] -= stiff * (lengths[b] - d) * u[a]
-            for a in range(3):
-                for r in range(3):
-                    q = stiff * u[a] * u[r]
-                    h[3 * i + a, 3 * i + r] += q
-                    h[3 * j + a, 3 * j + r] += q
-                    h[3 * i + a, 3 * j + r] -= q
-                    h[3 * j + a, 3 * i + r] -= q
-        if it < iterations:
-            x += np.linalg.solve(h, g).reshape(joints, 3)
-    covariance = np.linalg.inv(h)  # of the result
-    for j in range(joints):
-        variance[j], total = 0.0, 1e-12
-        for a in range(3):
-            variance[j] += covariance[3 * j + a, 3 * j + a] / 3
-        for k in range(sensors):
-            total += share[k, j]
-        for k in range(sensors):
-            share[k, j] /= total
+    x, (i, j), joint, stiff = (
+        predicted.copy(),
+        bones.T,
+        np.arange(len(predicted)),
+        np.where(lengths > 0, bone_weight, 0),
+    )
+    for step in range(iterations + 1):
+        off, c = points - x, scale * max(1.0, coarse / 2.0**step)
+        pull = lorentzian((off**2).sum(2) / c**2, weights * data_weight)[1]
+        force = prior_weight[:, None] * (predicted - x) + (pull[..., None] * off).sum(0)
+        along = x[i] - x[j]
+        length = np.sqrt((along**2).sum(1) + 1e-12)
+        along /= length[:, None]
+        tension = (stiff * (lengths - length))[:, None] * along
+        np.add.at(force, i, tension)
+        np.subtract.at(force, j, tension)
+        h, bend = np.zeros((len(x), 3, len(x), 3)), stiff[:, None, None] * along[:, :, None] * along[:, None]
+        h[joint, :, joint] = (prior_weight + pull.sum(0))[:, None, None] * np.eye(3)
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            np.add.at(h, (a, slice(None), b), sign * bend)
+        matrix = h.reshape(force.size, force.size)
+        if step < iterations:
+            x += np.linalg.solve(matrix, force.ravel()).reshape(x.shape)
+    variance = np.linalg.inv(matrix).diagonal().reshape(x.shape).mean(1)  # of the result
+    return x, pull / (pull.sum(0) + 1e-12), variance
 
 
 @kernel

@@ -90,8 +90,5 @@ def along(first: Any, second: Any, s: Any) -> Any:
     return first + 2 * second * s
 
 
-along_kernel = kernel(along)
 geman_mcclure_kernel = kernel(geman_mcclure)
-leclerc_kernel = kernel(leclerc)
 lorentzian_kernel = kernel(lorentzian)
-quadratic_kernel = kernel(quadratic)

@@ -1,5 +1,6 @@
-"""Find which parts of a body a picture shows: every pixel has a bit for each part that covers it (mask_runs.py); and
-connected pieces of masks (OpenCV).
+"""Find which parts of a body a picture shows, and compare them with a mask; and connected pieces of masks (OpenCV).
+
+The picture of a part has one bit per pixel, (h, bytes), lowest bit first, as `arrays.PreparedMasks.bits`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
-from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
-from hypose.compute.mask_runs import Bits, element_spans, grown, mask_of, opened, u8
-from hypose.compute.simd import lowest_bit, popcount
-from hypose.geometry import Array
+from hypose.compute.coverage import NEAR, STRIP, cover_faces, fill_strip, row_stride
+from hypose.geometry import Array, Mask
 
-_NONE = np.zeros((0, 0), np.uint8)
+Bits = NDArray[np.uint8]
+_NINE = np.ones((3, 3), np.uint8)
 
 
 class PartView(NamedTuple):
@@ -27,14 +27,14 @@ class PartView(NamedTuple):
     exposed: (P,) pixels covered by no other part.
     outside: (P,) pixels outside the mask, without its rim.
     bare: (N,) pixels of the mask without body within a radius of each point.
-    bits: (W, h) packed picture of the pixels where the body is drawn.
+    body: (h, w) 1 at the pixels where the body is drawn.
     """
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
     outside: NDArray[np.int64]
     bare: NDArray[np.int64]
-    bits: Bits
+    body: Mask
 
 
 def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
@@ -43,10 +43,12 @@ def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Ar
     Returns: (N, 2) px, NaN behind the camera; (N,) m along the optical axis; (2, 2) px, smallest and largest u and v,
         infinite where nothing is in front of the camera.
     """
-    points = plain(points_world, np.float64)
-    uv, z, reach = np.empty((len(points), 2)), np.empty(len(points)), np.empty((2, 2))
-    _place(points, plain(projection, np.float64), uv, z, reach)
-    return uv, z, reach
+    p = np.asarray(projection, dtype=np.float64)
+    seen = np.einsum("rc,nc->rn", p[:, :3], np.asarray(points_world, dtype=np.float64)) + p[:, 3:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uv = np.where(seen[2] > NEAR, seen[:2] / seen[2], np.nan)
+    reach = np.fmin.reduce(uv, 1, initial=np.inf), np.fmax.reduce(uv, 1, initial=-np.inf)
+    return np.ascontiguousarray(uv.T), seen[2], np.stack(reach, 1)
 
 
 def draw_parts(
@@ -65,11 +67,11 @@ def draw_parts(
     n_parts: number of parts.
     shape: (h, w) shape of the picture.
     closed: the faces of a part have no holes, so that those facing the camera cover what all of them cover.
-    Returns: (n_parts, W, h) bits.
+    Returns: (n_parts, h, bytes) bits, at least as many as columns.
     """
     h, w = shape
-    bits = np.zeros((n_parts, -(-w // 64), h), np.uint64)
-    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, closed, w, h, bits.view(np.uint8))
+    bits = np.zeros((n_parts, h, row_stride(w) // 8), np.uint8)
+    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, closed, w, h, bits)
     return bits
 
 
@@ -83,35 +85,41 @@ def covered(
     closed: the faces have no holes, so that those facing the camera cover what all of them cover.
     """
     f = plain(faces, np.int32)
-    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
+    return _mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
 
-def parts_against_mask(
-    bits: NDArray[np.uint8],
-    drawn: Bits,
-    box: tuple[int, int, int, int],
-    step: int,
-    points: ArrayLike,
-    radius: ArrayLike,
-    hidden: NDArray[np.uint8] | None = None,
-) -> PartView:
-    """Compare the parts of a body with a mask, at every step-th row and column of a box.
+def _mask_of(bits: Bits, width: int) -> Mask:
+    """Convert packed bits (h, bytes) to a mask (h, width) of 0 and 1."""
+    return np.unpackbits(bits, axis=1, count=width, bitorder="little")
 
-    bits: (H, B) mask, packed as by `prepare_masks`.
-    drawn: (P, W, h) packed picture of each part at these rows and columns (the small picture), from `draw_parts`; it
-        is overwritten.
-    box: columns and rows of the mask, half open.
-    step: distance between the rows and columns that are read, px.
-    points, radius: (N, 2) and (N,) px of the small picture: around these, bare mask is counted.
-    hidden: (H, B) ignored pixels: they are neither bare nor outside, and nothing is exposed there.
+
+def parts_against_mask(mask: Mask, hidden: Mask | None, drawn: Bits, points: ArrayLike, radius: ArrayLike) -> PartView:
+    """Compare the parts of a body with a mask.
+
+    mask: (h, w) 0 or 1.
+    hidden: (h, w) 1 at ignored pixels: they are neither bare nor outside, and nothing is exposed there; None: none.
+    drawn: (P, h, bytes) pixels of each part, from `draw_parts`.
+    points, radius: (N, 2) and (N,) px: around these, bare mask is counted.
     Returns: the counts. Rims of one pixel and pieces thinner than three pixels count neither as bare nor as outside.
     """
-    x0, x1, y0, _ = box
-    uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
-    counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
-    shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8)
-    _against_mask(*shown, y0, x0, step, width, element_spans(3), drawn, uv, r, counts, bare)
-    return PartView(*counts, bare, drawn[0])
+    once, twice = np.zeros_like(drawn[0]), np.zeros_like(drawn[0])
+    for part in drawn:
+        twice |= once & part
+        once |= part
+    body = _mask_of(once, mask.shape[1])
+    known, own = (mask, mask) if hidden is None else (mask | hidden, mask & ~hidden)
+    outside = cv2.morphologyEx(1 - cv2.dilate(known, _NINE), cv2.MORPH_OPEN, _NINE)
+    bare = cv2.morphologyEx(own & (1 - cv2.dilate(body, _NINE)), cv2.MORPH_OPEN, _NINE)
+    alone, out = ~twice, np.zeros_like(once)
+    lines = np.packbits(outside, axis=1, bitorder="little")
+    out[:, : lines.shape[1]] = lines
+    if hidden is not None:
+        alone[:, : lines.shape[1]] &= ~np.packbits(hidden, axis=1, bitorder="little")
+    counts = (np.bitwise_count(d).sum((1, 2), dtype=np.int64) for d in (drawn, drawn & alone, drawn & out))
+    row, column = np.nonzero(bare)
+    (u, v), r = np.asarray(points, dtype=np.float64).T, np.asarray(radius, dtype=np.float64)
+    near = (column[:, None] - u) ** 2 + (row[:, None] - v) ** 2 < r * r
+    return PartView(*counts, near.sum(0), body)
 
 
 def touched_area(
@@ -140,31 +148,8 @@ def touched_area(
 
 
 @kernel
-def _place(points, projection, uv, z, reach):
-    """Project points (N, 3) m with a projection (3, 4).
-
-    uv, z: (N, 2) px, NaN behind the camera, and (N,) m along its axis.
-    reach: (2, 2) gets the smallest and largest u and v, infinite without any.
-    """
-    p = projection
-    for k in range(2):
-        reach[k, 0], reach[k, 1] = np.inf, -np.inf
-    for i in range(points.shape[0]):
-        x, y, t = points[i, 0], points[i, 1], points[i, 2]
-        far = p[2, 0] * x + p[2, 1] * y + p[2, 2] * t + p[2, 3]
-        z[i] = far
-        uv[i, 0] = uv[i, 1] = np.nan
-        if far > NEAR:
-            uv[i, 0] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * t + p[0, 3]) / far
-            uv[i, 1] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * t + p[1, 3]) / far
-            for k in range(2):
-                reach[k, 0], reach[k, 1] = min(reach[k, 0], uv[i, k]), max(reach[k, 1], uv[i, k])
-
-
-@kernel
 def _draw_parts(uv, z, faces, part, closed, width, height, bits):
-    """Draw the pixels that the faces of each part cover, into bits (P, W, 8 h) u1: 64 columns of a row
-    in eight bytes.
+    """Draw the pixels that the faces of each part cover, into bits (P, h, bytes) u1.
 
     uv, z: (V, 2) px and (V,) m of the vertices.
     faces, part, closed: as in `draw_parts`.
@@ -174,91 +159,5 @@ def _draw_parts(uv, z, faces, part, closed, width, height, bits):
     difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)
     cover_faces(uv, z, faces, part, closed, width, height, difference)
     for p in range(bits.shape[0]):
-        for k in range(bits.shape[1]):
-            fill_strip(difference[p], 64 * k, stride, height, bits[p], bits[p], 8 * height * k, 8, unread)
-
-
-@kernel
-def _thin(packed, top, left, step, width, out):
-    """Take every step-th pixel of a packed mask (H, B) from row top and column left on, as bits out (W, h); bits beyond
-    the width are undefined.
-    """
-    words, h = out.shape
-    size, shift = packed.shape[1], u8(left & 7)
-    for k in range(words):
-        begin = (left >> 3) + 8 * k
-        for r in range(h):
-            word, y = u8(0), top + r * step
-            if step == 1:  # then bits only move
-                for i in range(min(8, size - begin)):
-                    word |= u8(packed[y, begin + i]) << u8(8 * i)
-                word >>= shift
-                if begin + 8 < size:
-                    word |= (u8(packed[y, begin + 8]) << u8(1)) << (u8(63) - shift)
-            else:
-                x = u8(left + 64 * k * step)
-                for i in range(min(width - 64 * k, 64)):
-                    word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
-                    x += u8(step)
-            out[k, r] = word
-
-
-@kernel
-def _against_mask(mask, hidden, top, left, step, width, square, parts, points, radius, counts, bare):
-    """Count the pixels of `PartView` for parts (P, W, h), drawn at every step-th pixel of a packed mask (H, B) from row
-    top and column left on.
-
-    hidden: (H, B) ignored pixels, (0, 0): none.
-    square: spans of 3 x 3 pixels.
-    points, radius: (N, 2) and (N,) in the drawn pixels.
-    counts: (3, P) gets area, exposed and outside.
-    bare: (N,) gets the bare pixels.
-    parts: parts[0] holds all parts afterwards.
-    """
-    n, words, h = parts.shape
-    room, box = np.zeros((5, words, h), np.uint64), np.zeros(4, np.int64)
-    no, shut, made, close, found = room[0], room[1], room[2], room[3], room[4]
-    box[1], box[3] = h, width
-    for k in range(2):
-        packed = hidden if k else mask
-        if packed.shape[0]:
-            _thin(packed, top, left, step, width, room[k])
-    for k in range(words):
-        for r in range(h):
-            made[k, r] = no[k, r] | shut[k, r]
-            no[k, r] = ~no[k, r] | shut[k, r]  # where no mask may be bare
-    for last in range(2):  # pixels far from the mask; then, of the mask, those far from the body
-        grown(made, square, box, u8(0), close)
-        for k in range(words):
-            for r in range(h):
-                near = close[k, r] | no[k, r] if last else close[k, r]
-                made[k, r] = ~near
-        opened(made, square, box, found)
-        if last:
-            break
-        for k in range(words):
-            for r in range(h):
-                once, twice = u8(0), u8(0)
-                for p in range(n):
-                    twice |= once & parts[p, k, r]
-                    once |= parts[p, k, r]
-                made[k, r] = once
-                if once == u8(0):
-                    continue
-                alone, out = ~(shut[k, r] | twice), found[k, r]
-                for p in range(n):
-                    word = parts[p, k, r]
-                    if word:
-                        counts[0, p] += popcount(word)
-                        counts[1, p] += popcount(word & alone)
-                        counts[2, p] += popcount(word & out)
-                parts[0, k, r] = once
-    for k in range(words):
-        for r in range(h):
-            word = found[k, r]
-            while word:
-                x = 64 * k + lowest_bit(word)
-                word &= word - u8(1)
-                for i in range(points.shape[0]):
-                    dx, dy = x - points[i, 0], r - points[i, 1]
-                    bare[i] += dx * dx + dy * dy < radius[i] * radius[i]
+        for s in range(0, width, STRIP):
+            fill_strip(difference[p], s, stride, height, bits[p], bits[p], s >> 3, stride >> 3, unread)

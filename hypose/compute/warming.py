@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute import picture_to_mask, reach
 from hypose.compute.arrays import (
     BALL,
     FIXED,
@@ -41,12 +41,12 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import cache_file, failures, make_folder
 from hypose.compute.kinematics import forward_kinematics, skin
-from hypose.compute.mask_distance import shrink_mask, signed_distance
-from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
+from hypose.compute.parts import covered
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver import solve, workspace
 from hypose.compute.threads import default_threads
+from hypose.compute.zbuffer import rasterize
 
 # it imports the same modules as this process, and nothing from the folder in which it runs
 _PROGRAM = (
@@ -105,21 +105,10 @@ def _points() -> None:
 
 
 def _outlines() -> None:
-    """Call the kernels of a mask's outline."""
-    mask, sizes = _mask()
-    outline_points(signed_distance(mask, sizes)[0], (32, 32), 16)
-    shrink_mask(mask[0, :30, :30], 3)
-
-
-def _parts() -> None:
-    """Call the kernels of a body's parts."""
-    (_, mesh, _, projection), (mask, _) = _toy(), _mask()
-    (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
-    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
-    covered(uv, z, mesh.faces, (h, w), closed=True)
-    bits = np.zeros((h, w // 8), np.uint8)
-    parts_against_mask(bits, drawn, (0, w, 0, h), 1, uv, z)
-    touched_area(bits, bits, (w, h), 1, uv)
+    """Call the kernels of a mask's outline and of a body's parts."""
+    outline_points(np.zeros((32, 32), np.float32), (32, 32), 16)
+    mesh = _toy()[1]
+    covered(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32), closed=True)
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -156,24 +145,22 @@ def _depth() -> None:
 
 
 def _monocular() -> None:
-    """Call the kernels of one camera."""
-    tree, mesh, q, projection = _toy()
-    mono.warm_up(tree, mesh, q, projection[0])
+    """Call the kernels that draw a body for one camera."""
+    mesh = _toy()[1]
+    rasterize(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32))
 
 
 KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
-    "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
-    "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
-    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up),
+    "outlines": (_outlines,),
+    "pictures": (picture_to_mask.warm_up,),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
 """Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points
-and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. shape: rows
-by which a body is fitted to outlines. pictures: masks from pictures. monocular: one camera. depth: poses from depth as
-well.
+and points. scorer: silhouettes of many poses. outlines: outlines of masks, and a body's parts against them. pictures:
+masks from pictures. monocular: one camera. depth: poses from depth as well.
 """
 
 
@@ -194,7 +181,7 @@ def _run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "pictures")
 """Groups of kernels that mask tracking needs."""
 
 

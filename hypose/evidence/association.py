@@ -12,6 +12,7 @@ Source: the idea of tracking first is that of 4D Association, Zhang et al. 2020 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -20,8 +21,164 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import other_sides
-from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
+
+# ---- rays ----------------------------------------------------------------------------------------------------------
+# Geometry of rays for several calibrated views and several people: distances of rays and points, robust triangulation.
+#
+# All distances are metres: the size of a pixel error at the person's depth, so that limits hold for any picture size
+# and any distance.
+
+
+NOT_COMPARABLE_M = 9.0
+"""m: distance that stands for pairs that cannot be compared."""
+_LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
+_NEAREST = 0.3  # m, least distance in front of a camera
+_PARALLEL = 0.05  # least sine of the angle between two rays whose distance is used
+_PRIOR = 0.7  # weight of a prediction, in views
+_PRIOR_M = 0.35
+
+
+class Views:
+    """Pinhole cameras of a rig as arrays.
+
+    projections: (C, 3, 4).
+    centres: (C, 3) m.
+    world_from_pixel: (C, 3, 3).
+    pairs: (Q, 2) all pairs of views.
+    """
+
+    def __init__(self, rig: CameraRig) -> None:
+        self.projections = rig.projections
+        self.centres = rig.positions
+        self._focal = np.array([0.5 * (c.K[0, 0] + c.K[1, 1]) for c in rig])
+        self.world_from_pixel = np.stack([c.camera_from_world[:3, :3].T @ np.linalg.inv(c.K) for c in rig])
+        self.pairs = np.array(list(itertools.combinations(range(len(rig)), 2)), dtype=np.int64).reshape(-1, 2)
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def rays(self, pixels: Array, which: NDArray[np.int64] | slice = slice(None)) -> Array:
+        """Compute the unit directions (M, ..., 3), in the world, of the rays of pixels (M, ..., 2).
+
+        which: (M,) view of each row (default: one row per view).
+        """
+        shape = pixels.shape
+        flat = pixels.reshape(shape[0], -1, 2)
+        one = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], -1)
+        d = one @ self.world_from_pixel[which].transpose(0, 2, 1)
+        d /= np.sqrt((d * d).sum(-1, keepdims=True))
+        return d.reshape(*shape[:-1], 3)
+
+    def seen_at(self, points: Array) -> tuple[Array, Array]:
+        """Project points (..., 3), m, into all views.
+
+        Returns: pixels (C, ..., 2); metres per pixel (C, ...) at their depth; NaN behind a camera or nearly in it.
+        """
+        flat = points.reshape(-1, 3)
+        h = flat @ self.projections[:, :, :3].transpose(0, 2, 1) + self.projections[:, None, :, 3]
+        z = np.where(h[..., 2] > _NEAREST, h[..., 2], np.nan)
+        shape = (len(self), *points.shape[:-1])
+        return (h[..., :2] / z[..., None]).reshape(*shape, 2), (z / self._focal[:, None]).reshape(shape)
+
+
+def distances(views: Views, expected: Array, found: Array, limit: float) -> Array:
+    """Compute the distances of candidates' points from those of expected people.
+
+    views: the cameras.
+    expected: (N, K, 3) m.
+    found: (C, P, K, 3) candidates of each view.
+    limit: upper bound of a distance, m.
+    Returns: (C, N, P, K) m, at most `limit`; NaN where one of the two is unknown.
+    """
+    uv, metres = views.seen_at(expected)
+    e = uv[:, :, None] - found[:, None, :, :, :2]
+    e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]
+    return np.where(found[:, None, ..., 2] > _LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
+
+
+def mean_of_known(values: Array, least: int) -> Array:
+    """Average values (..., K) over the last axis without NaN; NOT_COMPARABLE_M where fewer than `least` are known."""
+    known = np.isfinite(values)
+    n, total = known.sum(-1), np.where(known, values, 0.0).sum(-1)
+    return np.where(n >= least, total / np.maximum(n, 1e-9), NOT_COMPARABLE_M)
+
+
+def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
+    """Compute the distances between the rays of candidates, averaged over their common points.
+
+    views: the cameras.
+    least: number of common points that a comparison needs.
+    which: (M,) view of each candidate.
+    found: (M, K, 3).
+    limit: m, at which single distances end.
+    Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
+    """
+    d = views.rays(found[..., :2], which)
+    centre = views.centres[which]
+    u, v = d[:, None], d[None]
+    n0 = u[..., 1] * v[..., 2] - u[..., 2] * v[..., 1]
+    n1 = u[..., 2] * v[..., 0] - u[..., 0] * v[..., 2]
+    n2 = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    w = (centre[None, :] - centre[:, None])[:, :, None]
+    along = np.abs(n0 * w[..., 0] + n1 * w[..., 1] + n2 * w[..., 2])
+    apart = np.where(size > _PARALLEL, along / np.maximum(size, 1e-9), 0.5 * limit)
+    seen = found[..., 2] > _LEAST_CONFIDENCE
+    both = seen[:, None] & seen[None]
+    out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
+    return np.where(which[:, None] == which[None], NOT_COMPARABLE_M, out)
+
+
+def meet(views: Views, found: Array, near: float, prior: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    """Triangulate points from rays, some of which may be wrong.
+
+    Every pair of rays is tried (there are few views); the pair with most support wins, and all rays near it are solved
+    by least squares, weighted by confidence and pixel size.
+    found: (C, N, K, 3) px and confidence.
+    near: largest distance of a ray from the point, m.
+    prior: (N, K, 3) expected points, which decide between two places where rays meet.
+    Returns: points (N, K, 3), m, NaN where fewer than two rays meet; rays used (C, N, K).
+    """
+    count, n, k = found.shape[:3]
+    seen = found[..., 2] > _LEAST_CONFIDENCE
+    if count < 2 or n == 0:
+        return np.full((n, k, 3), np.nan), np.zeros(seen.shape, dtype=np.bool_)
+    d = views.rays(found[..., :2])
+    a, b = views.pairs.T
+    da, db, apart = d[a], d[b], (views.centres[a] - views.centres[b])[:, None, None]  # (Q, N, K, 3)
+    cos = (da * db).sum(-1)
+    sine2 = 1 - cos * cos
+    ea, eb = (da * apart).sum(-1), (db * apart).sum(-1)
+    safe = np.where(sine2 > 1e-5, sine2, np.inf)
+    s, t = (cos * eb - ea) / safe, (eb - cos * ea) / safe
+    one = views.centres[a][:, None, None] + s[..., None] * da
+    middle = 0.5 * (one + views.centres[b][:, None, None] + t[..., None] * db)
+    usable = seen[a] & seen[b] & (s > 0) & (t > 0) & (sine2 > 1e-5)
+    with np.errstate(invalid="ignore"):
+        uv, metres = views.seen_at(middle)  # (C, Q, N, K, ...)
+        e = uv - found[:, None, ..., :2]
+        e = np.sqrt((e * e).sum(-1)) * metres
+        e = np.where(seen[:, None] & np.isfinite(e), np.minimum(e / near, 1.0), 1.0)  # shares of `near`
+        score = (e < 1).sum(0) - e.sum(0) / np.maximum(seen.sum(0), 1)
+        if prior is not None:
+            off = middle - prior
+            off = np.sqrt((off * off).sum(-1)) / _PRIOR_M
+            score = score - _PRIOR * np.where(np.isfinite(off), np.minimum(off, 2.0), 0.0)
+    score = np.where(usable, score, -np.inf)
+    best = score.argmax(0)[None]  # (1, N, K)
+    used = np.take_along_axis(e, best[None], 1)[:, 0] < 1
+    used &= np.take_along_axis(usable, best, 0)
+    found_any = used.sum(0) >= 2
+    used &= found_any
+    scale = np.take_along_axis(metres, best[None], 1)[:, 0]
+    w = np.where(used, found[..., 2] / np.where(used, scale, 1.0) ** 2, 0.0)
+    across = np.eye(3) - d[..., :, None] * d[..., None, :]  # (C, N, K, 3, 3)
+    left = (w[..., None, None] * across).sum(0)
+    right = (w[..., None] * (across @ views.centres[:, None, None, :, None])[..., 0]).sum(0)
+    left = np.where(found_any[..., None, None], left, np.eye(3))
+    points = np.linalg.solve(left, right[..., None])[..., 0]
+    return np.where(found_any[..., None], points, np.nan), used
 
 
 @dataclass(frozen=True)
@@ -104,12 +261,21 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
     """
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
+
+    def at_once(i: int, j: int) -> bool:
+        return left[i].first <= left[j].last and left[j].first <= left[i].last
+
+    def same_body(i: int, j: int) -> bool:  # also where fewer than four bones are known of both
+        apart = np.abs(np.log(sizes[i] / sizes[j]))
+        known = np.isfinite(apart)
+        return known.sum() < 4 or float(np.mean(apart[known])) < AssociationSettings.alike
+
     while True:
         fits: list[tuple[int, int, int]] = []
         for i, a in enumerate(left):
             for j, b in enumerate(left):
                 gap = b.first - a.last
-                if gap > 0 and _same_body(sizes[i], sizes[j]):
+                if gap > 0 and same_body(i, j):
                     reach = AssociationSettings.restart + AssociationSettings.walk * gap / frame_rate
                     away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
                     if not away > reach:
@@ -117,7 +283,7 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
         sure = [
             (g, i, j)
             for g, i, j in fits
-            if not any((k == i) != (m == j) and _at_once(left, i, j, k, m) for _, k, m in fits)
+            if not any((k == i) != (m == j) and at_once(*((j, m) if k == i else (i, k))) for _, k, m in fits)
         ]
         if not sure:
             return sorted(left, key=lambda t: -int(t.seen.sum()))
@@ -127,12 +293,6 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
             del left[n], sizes[n]
         left.append(one)
         sizes.append(_bones(one, names))
-
-
-def _at_once(tracks: Sequence[PersonTrack], i: int, j: int, k: int, m: int) -> bool:
-    """Decide whether joining k with m excludes joining i with j, because two simultaneous tracks claim the same one."""
-    a, b = (tracks[j], tracks[m]) if k == i else (tracks[i], tracks[k])
-    return a.first <= b.last and b.first <= a.last
 
 
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
@@ -148,14 +308,6 @@ def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
             if np.isfinite(d).sum() >= 3:
                 out[i] = np.nanmedian(d)
     return out
-
-
-def _same_body(a: Array, b: Array) -> bool:
-    """Decide whether two sets of bone lengths (B,), m, are of one body; true where fewer than four bones are known of
-    both.
-    """
-    both = np.isfinite(a) & np.isfinite(b)
-    return both.sum() < 4 or float(np.mean(np.abs(np.log(a[both] / b[both])))) < AssociationSettings.alike
 
 
 def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
@@ -333,17 +485,11 @@ class Association:
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         is_person, free = count >= _LEAST_POINTS, count > 0
-        expected = self._expected()
-        seen, which = self._taken(found, is_person, free, expected)
-        new = self._born(found, is_person & free, free)
-        if new:
-            expected = self._expected()
-            again, chosen = np.zeros((len(found), len(new), *found.shape[2:])), np.full((len(found), len(new)), -1)
-            for n, q in enumerate(new):
-                for c, p in q:
-                    again[c, n], chosen[c, n] = found[c, p], p
-            seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
+        which = self._taken(found, is_person, free, self._expected())
+        which = np.concatenate([which, self._born(found, is_person & free, free)], 1)
         if self._alive:
+            expected = self._expected()
+            seen = _chosen(found, which)
             self._complete(seen, found, free, free & ~is_person, which, expected)
             seen = self._right_sides(seen, expected)
             world, _ = meet(self._views, seen, self.settings.near, expected)
@@ -383,35 +529,29 @@ class Association:
 
     def _taken(
         self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
-    ) -> tuple[Array, NDArray[np.int64]]:
+    ) -> NDArray[np.int64]:
         """Assign detected people to the tracked people, at most one to one in each view and within `settings.gate`.
 
         found: (C, P, K, columns) points of the P detected people of each view.
         is_person: (C, P) whether a detection has enough points for a person.
         free: (C, P) whether a detection is not assigned yet; assigned ones are set to False.
         expected: (N, K, 3) predicted points of the tracked people, m.
-        Returns: points (C, N, K, columns) as they are named; number of the detection (C, N), -1 for none.
+        Returns: (C, N) number of each person's detection, -1 for none.
         """
         from scipy.optimize import linear_sum_assignment  # takes long to import
 
-        n = len(expected)
-        seen, which = np.zeros((len(found), n, *found.shape[2:])), np.full((len(found), n), -1)
-        if n == 0:
-            return seen, which
-        o = self.settings
+        which = np.full((len(found), len(expected)), -1)
+        if not len(expected):
+            return which
         plain, turned = self._both(found, expected)
         each = np.where(self._better_exchanged(plain, turned)[..., self._group], turned, plain)
-        cost = mean_of_known(each, _LEAST_POINTS)
-        cost = np.where(is_person[:, None], cost, NOT_COMPARABLE_M)
+        cost = np.where(is_person[:, None], mean_of_known(each, _LEAST_POINTS), NOT_COMPARABLE_M)
+        gate = self.settings.gate
         for c in range(len(found)):
-            rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
-            for i, j in zip(rows, columns, strict=True):
-                if cost[c, i, j] <= o.gate:
-                    which[c, i] = j
-                    free[c, j] = False
-        views, who = np.nonzero(which >= 0)
-        seen[views, who] = found[views, which[views, who]]
-        return seen, which
+            rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * gate))
+            near = cost[c, rows, columns] <= gate
+            which[c, rows[near]], free[c, columns[near]] = columns[near], False
+        return which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Compute the distances (C, N, P, K), m, of candidates (C, P, K, 3) as named, and with left and right
@@ -463,54 +603,39 @@ class Association:
             person.votes += kept[:, n].sum(0) - exchange[:, n].sum(0)
         return np.where(exchange[..., self._group][..., None], seen[:, :, self._twin], seen)
 
-    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Start new people from the remaining candidates; return (view, candidate) pairs of each.
+    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Start new people from the remaining candidates, and add them to the tracked ones.
+
+        They start where rays meet in points whose bones have a body's lengths, away from all tracked people.
 
         found: (C, P, K, 3) candidates of each view.
         is_person: (C, P) free candidates with enough points for a person.
         free: (C, P) candidates that are not assigned to a person; those of the new people are set to False.
-        The new people are added to the tracked ones.
+        Returns: (C, M) number of each new person's detection, -1 for none.
         """
-        o = self.settings
+        o, new = self.settings, list[NDArray[np.int64]]()
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
-            return []
+            return np.zeros((len(found), 0), dtype=np.int64)
         apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)
-        new = []
         for members in clusters(apart, o.birth):
-            q = [(int(view[m]), int(number[m])) for m in members]
-            seen = np.zeros((len(found), 1, *found.shape[2:]))
-            for c, p in q:
-                seen[c, 0] = found[c, p]
-            points, _ = meet(self._views, seen, o.near)
-            if not self._plausible(points[0]) or self._taken_already(points[0]):
+            which = np.full(len(found), -1)
+            which[view[members]] = number[members]
+            points = meet(self._views, _chosen(found, which[:, None]), o.near)[0][0]
+            length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
+            right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
+            if len(right) < _LEAST_POINTS or float(np.mean(right)) < o.plausible:
                 continue
-            needed = 1 if len(q) > 2 else self._trial
-            far = self._stale + 1
-            t = _Followed(
-                self._frame,
-                points[0],
-                np.zeros((self._k, 3)),
-                np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
-                np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
-                np.zeros(len(_GROUPS) + 1, dtype=np.int64),
-                needed,
-            )
-            self._alive.append(t)
-            for c, p in q:
-                free[c, p] = False
-            new.append(q)
-        return new
-
-    def _plausible(self, points: Array) -> bool:
-        """Decide whether the bones of points (K, 3), m, have a body's lengths."""
-        length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
-        right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-        return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
-
-    def _taken_already(self, points: Array) -> bool:
-        """Decide whether a tracked person is already at the place of points (K, 3), m."""
-        return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
+            if any(_apart(t.points, points) < o.apart for t in self._alive):
+                continue
+            groups, stale = len(_GROUPS) + 1, np.where(np.isfinite(points[:, 0]), 0, self._stale + 1).astype(np.int64)
+            exchanged, votes = np.zeros((len(found), groups), dtype=np.bool_), np.zeros(groups, dtype=np.int64)
+            needed = 1 if len(members) > 2 else self._trial
+            start = self._frame, points, np.zeros((self._k, 3)), stale
+            self._alive.append(_Followed(*start, exchanged, votes, needed))
+            free[view[members], number[members]] = False
+            new.append(which)
+        return np.array(new, dtype=np.int64).reshape(-1, len(found)).T
 
     def _complete(
         self,
@@ -575,21 +700,19 @@ class Association:
 
     def _end(self) -> None:
         """End the tracks of people who are no longer seen, never were accepted, or are the same as another person."""
-        alive = []
-        for t in self._alive:
-            age = len(t.seen)
-            lost = t.missed > self._patience or (age > 3 and t.hits < 2)
-            (self._ended if lost else alive).append(t)
-        for i, a in enumerate(alive):
-            for b in alive[i + 1 :]:
-                if a.needed and b.needed and _apart(a.points, b.points) < self.settings.merge:
-                    less = a if a.hits < b.hits else b
-                    less.needed = 0
-        self._ended += [t for t in alive if t.needed == 0]
-        for t in self._ended:
-            if t.needed == 0:
-                t.needed = self._trial
-        self._alive = [t for t in alive if t not in self._ended]
+        lost = [t for t in self._alive if t.missed > self._patience or (len(t.seen) > 3 and t.hits < 2)]
+        same = list[_Followed]()
+        for a, b in itertools.combinations([t for t in self._alive if t not in lost], 2):
+            if a not in same and b not in same and _apart(a.points, b.points) < self.settings.merge:
+                same.append(a if a.hits < b.hits else b)
+                same[-1].needed = self._trial
+        self._ended += lost + same
+        self._alive = [t for t in self._alive if t not in lost + same]
+
+
+def _chosen(found: Array, which: NDArray[np.int64]) -> Array:
+    """Collect the points (C, N, K, columns) of the candidates `which` (C, N) of each view; 0 where that is -1."""
+    return np.where((which >= 0)[..., None, None], found[np.arange(len(found))[:, None], which], 0.0)
 
 
 def _apart(a: Array, b: Array) -> float:

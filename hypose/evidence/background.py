@@ -92,9 +92,17 @@ def from_recording(
             raise InputError(f"{len(stack)} frames need masks of shape {stack.shape[:3]}, got {covered.shape}.")
         return _from_free_frames(stack, np.asarray(covered) != 0, plate)
     median, sd, _ = _masked_median(stack, None)
-    if plate is None:
-        return _from_median_alone(stack, median, sd)
-    return _cure_ghosts(stack, median, sd, match_gain(plate, median))
+    if plate is not None:
+        return _cure_ghosts(stack, median, sd, match_gain(plate, median))
+    share = (_deviation(stack, median) < _STATIC).mean(0)
+    never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())
+    changing = f"; {100 * doubtful:.1f} % changes in most frames and is uncertain" if doubtful > 0.002 else ""
+    note = (
+        f"The background is the median of the recording itself: {100 * never:.0f} % of the picture never changes, and "
+        f"a person who stands still there becomes a part of the background{changing}. A clip or photo of the empty "
+        "room cures both."
+    )
+    return BackgroundModel(median, sd, np.ones(shape, dtype=np.bool_), note)
 
 
 def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> BackgroundModel:
@@ -186,26 +194,6 @@ def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: Backgroun
     )
     wide = np.maximum(sd, np.float32(_PLATE_SD))
     return BackgroundModel(np.where(free[..., None], median, whole), np.where(free[..., None], sd, wide), free, note)
-
-
-def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32]) -> BackgroundModel:
-    """Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks.
-    Build the model from the median (h, w, 3) and sd (h, w, 3) of a recording (N, h, w, 3), with a note on its risks.
-    """
-    static = _deviation(stack, median) < _STATIC
-    share = static.mean(0)
-    never, doubtful = float((share == 1).mean()), float((share < _STATIC_SHARE).mean())
-    note = (
-        f"The background is the median of the recording itself: {100 * never:.0f} % of the picture never changes, and "
-        "a person who stands still there becomes a part of the background"
-    )
-    note += f"; {100 * doubtful:.1f} % changes in most frames and is uncertain" if doubtful > 0.002 else ""
-    return BackgroundModel(
-        median,
-        sd,
-        np.ones(stack.shape[1:3], dtype=np.bool_),
-        note + ". A clip or photo of the empty room cures both.",
-    )
 
 
 def _cure_ghosts(

@@ -149,16 +149,13 @@ def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArra
     p, q = np.asarray(points, dtype=np.float64).reshape(-1, 3), np.asarray(ends, dtype=np.float64).reshape(-1, 3)
     limit = np.asarray(limits, dtype=np.float64)
     out = np.full(len(p), UNNAMED, dtype=np.int64)
-    if len(p) == 0 or len(q) == 0:
-        return out
     distance = np.linalg.norm(p[:, None] - q[None], axis=-1)
     valid = distance <= limit
     # one more assignment is worth more than any sum of distances
     cost = np.where(valid, distance - (1.0 + limit.sum()), 0.0)
     rows, columns = linear_sum_assignment(cost)
-    for r, c in zip(rows, columns, strict=True):
-        if valid[r, c]:
-            out[r] = c
+    kept = valid[rows, columns]
+    out[rows[kept]] = columns[kept]
     return out
 
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 SHADES = (4, 16, 16)
 """Number of levels of brightness (an octave each), of the share of red and of the share of green."""
 COLOURS = SHADES[0] * SHADES[1] * SHADES[2]
+# Sum of the three channels below which all colours are the darkest level.
 _DARKEST = 48
-"""Sum of the three channels below which all colours are the darkest level."""
+# First share and width of a level: of red in skin and cloth 0.2 to 0.65, of green 0.2 to 0.5.
 _RED, _GREEN = (0.15, 0.03), (0.20, 0.02)
-"""First share and width of a level: of red in skin and cloth 0.2 to 0.65, of green 0.2 to 0.5."""
 
 
 def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
@@ -29,8 +29,8 @@ def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return (bright * SHADES[1] + red) * SHADES[2] + green
 
 
+# Factor from grey levels per pixel to edge values, which end at 255.
 _STEEP = 8.0
-"""Factor from grey levels per pixel to edge values, which end at 255."""
 
 
 def colour_edges(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -17,41 +17,41 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.compute.depth_points import before_room, holes_filled, middle_of_piece, things_before
 from hypose.errors import InputError
-from hypose.evidence.depth_evidence import JUMP_M, Depth, DepthNoise, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, depth_sd, in_world
 from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import DepthMap, Mask
 
+# m, and standard deviations: least distance of a person in front of the room
 _LEAST_M, _SDS = 0.03, 4.0
-"""m, and standard deviations: least distance of a person in front of the room"""
 _USUAL_SD = 0.006
 _ABOVE_FLOOR_M = 0.05
+# m: largest and smallest height, and largest width, of a person's visible surface
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
-"""m: largest and smallest height, and largest width, of a person's visible surface"""
 _LEAST_PX, _REACH_M = 15, 0.6
+# likeness from which a piece may be a person, or half of one behind another: 0.12 to 2.5 m^2 visible
 _LIKE = 0.1
-"""likeness from which a piece may be a person, or half of one behind another: 0.12 to 2.5 m^2 visible"""
+# m below the top of a person, and width there: a head .13 to .2, with hands next to it .34 at most (eight motions,
+# seeds 1 to 17)
 _TOP_M, _HEAD_M = 0.2, 0.35
-"""m below the top of a person, and width there: a head .13 to .2, with hands next to it .34 at most (eight motions,
-seeds 1 to 17)"""
 STILL_FRAMES = 16
 """largest number of maps, spread over a recording, that are used to find things that stand still"""
+# share of the maps in which a pixel must be measured to be known
 _SEEN_SHARE = 0.5
-"""share of the maps in which a pixel must be measured to be known"""
+# largest share of the maps that may show something behind a thing that stands still; least share of a thing's pixels
+# that must stand still
 _FARTHER_SHARE, _WHOLE = 0.15, 0.7
-"""largest share of the maps that may show something behind a thing that stands still; least share of a thing's pixels
-that must stand still"""
+# m, m^2: height and visible area of a person
 _SPAN_M, _AREA_M2 = 1.75, 0.55
-"""m, m^2: height and visible area of a person"""
+# m by which a thing stands in front of the person's middle, and next to it; share of a person's area that it covers
 _BEFORE_M, _NEARBY_M, _HIDES = 0.25, 0.4, 0.03
-"""m by which a thing stands in front of the person's middle, and next to it; share of a person's area that it covers"""
+# m between the sides of the person and of a thing that is not part of it
 _APART_M = 0.35
-"""m between the sides of the person and of a thing that is not part of it"""
+# least share of a recording's maps in which a thing is seen, and largest scatter of its values, m
 _STILL_SHARE, _STILL_M = 0.8, 0.01
-"""least share of a recording's maps in which a thing is seen, and largest scatter of its values, m"""
+# m from a thing at which a moving person stands, in which share of the maps; least number of pixels of a person
 _ELSEWHERE_M, _ELSEWHERE_SHARE, _PERSON_PX = 0.9, 0.25, 300
-"""m from a thing at which a moving person stands, in which share of the maps; least number of pixels of a person"""
+# px around what stands in front of the room that may still be the person's
 _RIM = 3
-"""px around what stands in front of the room that may still be the person's"""
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,15 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
         raise InputError(f"Depth maps of one sensor must have one size, got {sorted({m.shape for m in maps})}.")
     stack = np.stack(maps).astype(np.float32)
     stack[stack <= 0] = np.nan
-    seen = np.isfinite(stack).mean(0)
-    known = seen >= 0.25
-    some = np.where(known, stack, 0.0)
-    middle = np.nanmedian(np.where(np.isfinite(some), some, np.nan), axis=0)
-    away = np.abs(stack - middle)
-    spread = 1.4826 * np.nanmedian(np.where(known, np.where(np.isfinite(away), away, np.nan), 0.0), axis=0)
-    sd = np.maximum(np.where(known, spread, 0.0), 0.0 if len(maps) > 3 else _USUAL_SD)
-    return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
+    middle, spread = _median_and_sd(np.where(np.isfinite(stack).mean(0) >= 0.25, stack, 0.0))
+    sd = np.maximum(spread, 0.0 if len(maps) > 3 else _USUAL_SD)
+    return DepthBackground(middle.astype(np.float32), sd.astype(np.float32))
+
+
+def _median_and_sd(values: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Compute the median of each column of values (T, ...) and its standard deviation (1.4826 MAD), without NaN."""
+    middle = np.nanmedian(values, axis=0)
+    return middle, 1.4826 * np.nanmedian(np.abs(values - middle), axis=0)
 
 
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
@@ -102,9 +103,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
     if not often.any():
         return room, 0.0
     middle, sd = np.zeros_like(room.depth), np.zeros_like(room.sd)
-    values = np.where(before, stack, np.nan)[:, often]
-    middle[often] = np.nanmedian(values, axis=0)
-    sd[often] = 1.4826 * np.nanmedian(np.abs(values - middle[often]), axis=0)
+    middle[often], sd[often] = _median_and_sd(np.where(before, stack, np.nan)[:, often])
     still = _calm((often & (sd < np.maximum(_SDS * room.sd, _STILL_M))).astype(np.uint8)) > 0
     others = before & (cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
     at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _PERSON_PX]
@@ -212,9 +211,9 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     stack = np.stack(maps)
     known = (stack > 0).mean(0) >= _SEEN_SHARE
     values = np.where(known, np.where(stack > 0, stack, np.nan), 0.0)
-    middle = np.asarray(np.nanmedian(values, axis=0), dtype=np.float32)
+    middle, sd = (a.astype(np.float32) for a in _median_and_sd(values))
     apart = _tolerance(middle)
-    still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
+    still = known & (sd < apart)
     still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there and left
     found = _standing(middle, camera)
     no_person = found.above & (found.people(_HEAD_M) == 0)
@@ -227,7 +226,7 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
 
 def _tolerance(depth: DepthMap) -> DepthMap:
     """Compute the largest difference (h, w), m, of two values of one surface."""
-    return np.asarray(np.maximum(_LEAST_M, _SDS * DepthNoise().sd(depth)), dtype=np.float32)
+    return np.asarray(np.maximum(_LEAST_M, _SDS * depth_sd(depth)), dtype=np.float32)
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:

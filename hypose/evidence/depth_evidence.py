@@ -17,30 +17,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute.depth_points import points_of_surface
-from hypose.geometry import Array
+from hypose.errors import EvidenceError
+from hypose.geometry import Array, rotation_between, se3
 
 POINTS = 200
 """number of surface points used of one sensor's map; more take time and give no new information"""
 JUMP_M = 0.06
 """m: neighbours with a larger difference belong to different surfaces"""
-_LEAST_COSINE = 0.15
+_LEAST_COSINE, _CONSTANT_M, _SQUARE = 0.15, 0.0015, 0.0012
 
 
-@dataclass(frozen=True)
-class DepthNoise:
-    """Noise model of a depth sensor: sd at z m is (constant + square z^2), m, divided by the cosine between ray and
-    normal.
+def depth_sd(z: ArrayLike, cosine: ArrayLike = 1.0) -> Array:
+    """Compute the standard deviation of a depth sensor's noise.
 
-    The default values are compared with real frames in docs/depth.md.
+    z: (...) distances along the optical axis, m.
+    cosine: (...) cosine of the angle between ray and normal of the surface.
+    Returns: (...) m: (constant + square z^2) / cosine. The constants are compared with real frames in docs/depth.md.
     """
-
-    constant: float = 0.0015
-    square: float = 0.0012
-
-    def sd(self, z: ArrayLike, cosine: ArrayLike = 1.0) -> Array:
-        """Compute the sd (...,), m, at distances z (...,), m, for surfaces with this cosine between normal and ray."""
-        along = np.maximum(np.asarray(cosine, dtype=np.float64), _LEAST_COSINE)
-        return (self.constant + self.square * np.asarray(z, dtype=np.float64) ** 2) / along
+    along = np.maximum(np.asarray(cosine, dtype=np.float64), _LEAST_COSINE)
+    return (_CONSTANT_M + _SQUARE * np.asarray(z, dtype=np.float64) ** 2) / along
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,6 @@ class Depth:
         see `rig.sizes`.
     person: (C, h, w) uint8, 1 = the person.
     usable: (C,) False for a view without a map, for example one that is no depth camera.
-    noise: noise of the sensors.
     blank: (C,) True for depth cameras whose whole map is a hole; None: there are none.
     """
 
@@ -75,7 +69,6 @@ class Depth:
     person: NDArray[np.uint8]
     rig: CameraRig
     usable: NDArray[np.bool_]
-    noise: DepthNoise = DepthNoise()
     blank: NDArray[np.bool_] | None = None
 
     def unseen(self) -> Depth:
@@ -91,7 +84,20 @@ class Depth:
     @cached_property
     def surface(self) -> SurfacePoints:
         """At most POINTS surface points of each usable view, evenly over its person."""
-        return surface_points(self, POINTS)
+        found, first = [], [0]
+        for c, camera in enumerate(self.rig):
+            made = 0
+            if self.usable[c]:
+                w, h = camera.size
+                seen = self.maps[c, :h, :w], self.person[c, :h, :w], self.boxes[c]
+                points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, POINTS)
+                sd = depth_sd(points[:, 2], cosines)
+                found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
+                made = len(points)
+            first.append(first[-1] + made)
+        found = found or [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+        points, normals, sd = (np.concatenate([f[k] for f in found]) for k in range(3))
+        return SurfacePoints(points, normals, sd, np.array(first, dtype=np.int64))
 
     @cached_property
     def pixels(self) -> tuple[NDArray[np.int64], Array]:
@@ -108,26 +114,6 @@ class Depth:
     def centre(self) -> Array | None:
         """Median (3,) of the surface points, m; None when there are none."""
         return np.median(self.surface.points, axis=0) if len(self.surface.points) else None
-
-
-def surface_points(depth: Depth, count: int) -> SurfacePoints:
-    """Sample at most `count` points per usable view on the person's surface."""
-    found, first = [], [0]
-    for c, camera in enumerate(depth.rig):
-        made = 0
-        if depth.usable[c]:
-            w, h = camera.size
-            seen = depth.maps[c, :h, :w], depth.person[c, :h, :w], depth.boxes[c]
-            points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, count)
-            sd = depth.noise.sd(points[:, 2], cosines)
-            found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
-            made = len(points)
-        first.append(first[-1] + made)
-    if not found:
-        none = np.zeros((0, 3))
-        return SurfacePoints(none, none, np.zeros(0), np.array(first, dtype=np.int64))
-    points, normals, sd = (np.concatenate([f[k] for f in found]) for k in range(3))
-    return SurfacePoints(points, normals, sd, np.array(first, dtype=np.int64))
 
 
 def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> Array:
@@ -147,14 +133,80 @@ def in_world(camera: Camera, points_camera: Array) -> Array:
     return (points_camera - shift) @ rotation
 
 
-def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Smooth a depth map (h, w), m, by the median of 3 x 3 px, and mark the pixels whose 3 x 3 neighbourhood lies on
-    one surface.
+# ---- pose of a sensor from the floor -------------------------------------------------------------------------------
+# Find the floor in a depth map: the upward direction, and the height of the sensor.
 
-    jump_m: difference of depth from which neighbours are different surfaces, m.
-    Returns: the smoothed map (h, w); (h, w) true where the 3 x 3 px have no hole and no jump.
+
+_DRAWS, _POINTS = 300, 4000
+_NEAR_M, _TILTED = 0.02, np.cos(np.radians(50))
+# share of the map that the floor must fill
+_LEAST_SHARE = 0.04
+# m: least distance of a floor below a table; cosine of the largest angle between two level planes
+_BELOW_M, _LEVEL = 0.15, np.cos(np.radians(8))
+
+
+def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
+    """Estimate a sensor's pose from its depth map (h, w), m: floor at z = 0, sensor above the origin, looking along +y.
+
+    The sensor must be upright within 50 degrees; the given camera's own pose is not used. Of several level planes (a
+    table, the floor) the lowest is the floor.
+    Returns: camera_from_world (4, 4).
+    Raises: EvidenceError where no plane fills enough of the map.
+    Source: Fischler & Bolles 1981 (random sample consensus).
     """
-    kernel = np.ones((3, 3), np.uint8)
-    low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
-    sound = (low > 0) & (high - low < jump_m)
-    return np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32), sound
+    v, u = np.nonzero(depth > 0)
+    chosen = np.linspace(0, max(len(v) - 1, 0), min(_POINTS, len(v))).astype(int)
+    v, u = v[chosen], u[chosen]
+    points = back_projected(camera, u, v, depth[v, u])
+    rng = np.random.default_rng(0)
+    found = _plane(points, rng, _LEAST_SHARE * len(points))
+    if found is None:
+        raise EvidenceError(
+            "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor in front, or "
+            "write a recording.toml with its place in the calibration."
+        )
+    normal, offset = found
+    while True:
+        below = points[points @ normal - offset < -_BELOW_M]
+        lower = _plane(below, rng, _LEAST_SHARE * len(points)) if len(below) >= _LEAST_SHARE * len(points) else None
+        if lower is None or lower[0] @ normal < _LEVEL:
+            break
+        normal, offset = lower
+    # columns of rotation: the world's axes in the camera
+    ahead = np.array([0, 0, 1.0]) - normal[2] * normal
+    if np.linalg.norm(ahead) < 1e-3:
+        ahead = rotation_between(np.array([0, 0, 1.0]), normal) @ np.array([0, 1.0, 0])
+    ahead = ahead / np.linalg.norm(ahead)
+    rotation = np.stack([np.cross(ahead, normal), ahead, normal], 1)
+    return se3(rotation, offset * normal)
+
+
+def _plane(points: Array, rng: np.random.Generator, least: float) -> tuple[Array, float] | None:
+    """Fit the plane below the sensor that holds most of the points (N, 3), m, in the camera's frame.
+
+    Returns: upward normal (3,) and offset; None where it holds fewer than `least` points.
+    """
+    best: tuple[int, Array, float] | None = None
+    for _ in range(_DRAWS if len(points) > 3 else 0):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-6:
+            continue
+        normal = normal / length
+        normal = -normal if normal[1] > 0 else normal  # up: against y
+        if -normal[1] < _TILTED or normal @ a > 0:  # a plane above the sensor is the ceiling
+            continue
+        count = int((np.abs((points - a) @ normal) < _NEAR_M * (1 + points[:, 2] / 4)).sum())
+        if best is None or count > best[0]:
+            best = count, normal, float(normal @ a)
+    if best is None or best[0] < least:
+        return None
+    _, normal, offset = best
+    for _ in range(5):  # refit to all points in it
+        inside = np.abs(points @ normal - offset) < _NEAR_M * (1 + points[:, 2] / 4)
+        middle = points[inside].mean(0)
+        own = np.linalg.svd(points[inside] - middle, full_matrices=False)[2][2]
+        normal = own if own @ normal > 0 else -own
+        offset = float(normal @ middle)
+    return normal, offset

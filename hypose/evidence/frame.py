@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -158,8 +158,7 @@ class SensorJoints:
     times: (K,) on the common clock, s; NaN for a sensor without a skeleton.
     joint_names: (J,).
     sensor_names: (K,).
-    depth: (K, h, w) float32 depth maps, m, 0 = hole, with their intrinsics (K, 3, 3); or None.
-    joint_depth: (K, J) depth at the joint's pixel where no whole map is kept, m, 0 = hole; or None.
+    joint_depth: (K, J) depth of the sensor's depth map at the joint's pixel, m, 0 = hole; or None.
     The constructor makes all forms of "missing" (NaN, -9999, state 0) the same.
     Raises: InputError for wrong shapes and for positions that are not metres.
     """
@@ -169,8 +168,6 @@ class SensorJoints:
     times: Array
     joint_names: tuple[str, ...]
     sensor_names: tuple[str, ...]
-    depth: NDArray[np.float32] | None = None
-    intrinsics: Array | None = None
     joint_depth: Array | None = None
 
     def __post_init__(self) -> None:
@@ -185,28 +182,41 @@ class SensorJoints:
             )
         if (state > TRACKED).any():
             raise InputError(f"A joint's state is 0, 1 or 2 (not tracked, inferred, tracked), got {int(state.max())}.")
-        positions[(positions <= MISSING_MARK).any(-1)] = np.nan
-        far = np.abs(np.where(np.isfinite(positions), positions, 0.0)).max(axis=-1, initial=0.0) > FARTHEST_M
-        if far.any():
-            which, joint = (int(i) for i in np.argwhere(far)[0])
-            raise InputError(
-                f"Sensor {self.sensor_names[which]}, joint {self.joint_names[joint]}: {positions[which, joint]} cannot "
-                f"be metres (largest {FARTHEST_M:.0f}); divide by 1000 if the sensor reports millimetres."
-            )
-        missing = ~np.isfinite(positions).all(-1) | (state == NOT_TRACKED)
-        positions[missing] = np.nan
-        state[missing] = NOT_TRACKED
+        positions, state = clean_joints(positions, state, ", ".join(self.sensor_names), self.joint_names)
         for name, value in (("positions", positions), ("state", state), ("times", times)):
             object.__setattr__(self, name, value)
-        if self.depth is not None and (
-            self.depth.ndim != 3
-            or len(self.depth) != k
-            or self.intrinsics is None
-            or np.shape(self.intrinsics) != (k, 3, 3)
-        ):
-            raise InputError(f"Depth maps need shape ({k}, h, w) and intrinsics ({k}, 3, 3), got {self.depth.shape}.")
         if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
             raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
+
+    @property
+    def measured_depth(self) -> list[Array]:
+        """Depth of the sensors' depth maps at the joints: one array (K, J), m, 0 = hole; none without depth maps."""
+        return [] if self.joint_depth is None else [self.joint_depth]
+
+
+def clean_joints(
+    positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Mark missing joints alike: NaN positions and state 0.
+
+    positions: (..., J, 3) m.
+    state: (..., J).
+    where: sensor or file, for the message.
+    Returns: copies of both.
+    Raises: InputError for positions that are not metres.
+    """
+    positions, state = positions.copy(), state.copy()
+    positions[(positions <= MISSING_MARK).any(-1)] = np.nan
+    missing = ~np.isfinite(positions).all(-1) | (state == NOT_TRACKED)
+    positions[missing], state[missing] = np.nan, NOT_TRACKED
+    far = np.argwhere(np.abs(np.nan_to_num(positions)).max(-1, initial=0.0) > FARTHEST_M)
+    if len(far):
+        at = tuple(far[0])
+        raise InputError(
+            f"{where}: the joint {joint_names[at[-1]]} lies at {positions[at].round(1).tolist()}, which cannot be "
+            f"metres (at most {FARTHEST_M:.0f}); divide millimetres by 1000."
+        )
+    return positions, state
 
 
 @dataclass(frozen=True)
@@ -223,6 +233,15 @@ class Picture:
     image: NDArray[np.uint8]
     before: NDArray[np.uint8] | None = None
     mask: NDArray[np.uint8] | None = None
+
+    @property
+    def silhouettes(self) -> list[Silhouettes]:
+        """The mask as silhouettes of one view: one element, or none where the mask is not known."""
+        if self.mask is None:
+            return []
+        return [
+            Silhouettes((self.mask != 0).astype(np.uint8)[None], CameraRig((self.camera,)), np.ones(1, bool), ("",))
+        ]
 
 
 @dataclass(frozen=True)
@@ -279,6 +298,10 @@ class Frame:
         raise EvidenceError(
             f"Frame {self.index} carries no {kind.__name__}; choose an evidence that the recording has."
         )
+
+    def without(self, *kinds: type) -> Frame:
+        """Copy the frame and leave out its pieces of evidence of some classes."""
+        return replace(self, **{name: None for name, piece in self.pieces.items() if isinstance(piece, kinds)})
 
     def unseen(self) -> Frame:
         """Copy the frame and mark its masks, key points and depth maps as not usable, for a person who is not there."""

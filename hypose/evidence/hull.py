@@ -183,9 +183,12 @@ def visual_hull(
     low = index.min(0)
     occupancy = np.zeros(index.max(0) - low + 1, dtype=np.bool_)
     occupancy[tuple((index - low).T)] = True
-    if largest:
-        occupancy, shift = _largest(occupancy)
-        low = low + shift
+    if largest:  # the largest connected body of voxels
+        label = np.zeros(occupancy.shape, np.int32)
+        if ndimage.label(occupancy, np.ones((3, 3, 3)), output=label) > 1:
+            best = int(np.bincount(label.ravel())[1:].argmax()) + 1
+            where = ndimage.find_objects(label, best)[best - 1]
+            occupancy, low = label[where] == best, low + [s.start for s in where]
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
 
 
@@ -228,28 +231,12 @@ def _free_cells(
     return within & (pixels == 0), near | (front & (pixels > 0))
 
 
-def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Select the largest connected body of voxels (nx, ny, nz).
-
-    Returns: the part of the array that holds it; (3,) index at which that part begins.
+def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
+    """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
+    views that are not usable.
     """
-    label = np.zeros(occupancy.shape, np.int32)
-    count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
-    if count == 1:
-        return occupancy, np.zeros(3, dtype=np.int64)
-    best = int(np.bincount(label.ravel())[1:].argmax()) + 1
-    where = ndimage.find_objects(label, best)[best - 1]
-    return label[where] == best, np.array([s.start for s in where])
-
-
-def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
-    """Draw the voxels of a hull in pinhole cameras.
-
-    Returns: (C, h, w) uint8 masks, 1 = hull, padded to the common size.
-    """
-    points = hull.surface_points
-    sizes = rig.sizes
-    out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
+    points, rig = hull.surface_points, silhouettes.rig
+    pictures = np.zeros(silhouettes.masks.shape, dtype=np.bool_)
     for c, camera in enumerate(rig):
         w, h = camera.size
         depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
@@ -266,16 +253,7 @@ def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
             uv = camera.project_pinhole(points + offset)
             uv = np.rint(uv[np.isfinite(uv).all(1)]).astype(np.int64)
             uv = uv[((uv >= 0) & (uv < (w, h))).all(1)]
-            out[c, uv[:, 1], uv[:, 0]] = 1
-    return out
-
-
-def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
-    """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
-    views that are not usable.
-    """
-    pictures = hull_masks(hull, silhouettes.rig).astype(bool)
+            pictures[c, uv[:, 1], uv[:, 0]] = True
     masks = silhouettes.masks > 0
-    both = (pictures & masks).sum((1, 2))
-    either = (pictures | masks).sum((1, 2))
+    both, either = (pictures & masks).sum((1, 2)), (pictures | masks).sum((1, 2))
     return np.where(silhouettes.usable, both / np.maximum(either, 1), np.nan)

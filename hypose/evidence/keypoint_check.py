@@ -52,16 +52,16 @@ CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
 )
 
 
+# Kind, words, factors of x and y about the middle of the picture, cure.
 _TURNS = (
     ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
     ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
     ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
 )
-"""Kind, words, factors of x and y about the middle of the picture, cure."""
+# Usual factors between the sizes of stored and calibrated images.
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Usual factors between the sizes of stored and calibrated images."""
+# Tried places of a cropped image: the part of the missing columns and rows that is missing at its left and top.
 _PLACES = (0.0, 0.5, 1.0)
-"""Tried places of a cropped image: the part of the missing columns and rows that is missing at its left and top."""
 
 
 def geometric_trials(
@@ -156,48 +156,50 @@ def trials(
     """
     twin, every = other_sides(names), tuple(range(len(rig)))
 
-    def moved(views: Sequence[int], change: Callable[[Camera, Array], Array], exchanged: bool = False) -> Array:
+    def moved(
+        views: Sequence[int],
+        factor: ArrayLike = 1.0,
+        offset: ArrayLike = 0.0,
+        *,
+        turned: bool = False,
+        sides: bool = False,
+        transposed: bool = False,
+    ) -> Array:
+        """Scale the pixels of views about the middle of their pictures (turned), else about the corner."""
         out = pixels.copy()
         for c in views:
-            out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, change(rig[c], pixels[c, ..., :2]), 0.0)
-            if exchanged:
-                out[c] = out[c][:, twin]
+            centre = (np.array(rig[c].size) - 1) / 2 if turned else np.full(2, -0.5)
+            xy = pixels[c, ..., 1::-1] if transposed else pixels[c, ..., :2]
+            xy = centre + np.asarray(factor) * (xy - centre) + np.asarray(offset)
+            out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, xy, 0.0)
+            out[c] = out[c][:, twin] if sides else out[c]
         return out
-
-    def turned(views: Sequence[int], factor: ArrayLike, exchanged: bool) -> Array:
-        def change(camera: Camera, xy: Array) -> Array:
-            middle = (np.array(camera.size) - 1) / 2
-            return middle + np.asarray(factor) * (xy - middle)
-
-        return moved(views, change, exchanged)
-
-    def scaled(views: Sequence[int], factor: ArrayLike, offset: ArrayLike = 0.0) -> Array:
-        return moved(views, lambda _, xy: (xy + 0.5) * np.asarray(factor) - 0.5 + np.asarray(offset))
 
     # a mirrored picture exchanges left and right; a reversed axis alone does not
     yield from geometric_trials(
-        rig, pixels, lambda c, factor: turned((c,), factor, bool(factor.prod() < 0)), lambda order: pixels[order]
+        rig,
+        pixels,
+        lambda c, factor: moved((c,), factor, turned=True, sides=bool(factor.prod() < 0)),
+        lambda order: pixels[order],
     )
     known = [c for c in every if stored[c] is not None and stored[c] != rig[c].size]
     cure = 'set keypoint_pixels = "image" in recording.toml'
     for views in (*((c,) for c in every), every):
         whose = "its" if len(views) == 1 else "the"
         words = f"{whose} key points' y counts from the bottom of the images (or the videos are flipped)"
-        yield Trial(
-            "flipped", views, words, "write y as the image's height minus y", rig, turned(views, (1.0, -1.0), False)
-        )
+        flipped = moved(views, (1.0, -1.0), turned=True)
+        yield Trial("flipped", views, words, "write y as the image's height minus y", rig, flipped)
         words = f"x and y of {whose} key points are exchanged"
-        swapped = moved(views, lambda _, xy: xy[..., ::-1])
-        yield Trial("transposed", views, words, "exchange them in the files", rig, swapped)
+        yield Trial("transposed", views, words, "exchange them in the files", rig, moved(views, transposed=True))
         for s in _SCALES if not set(views) & set(known) else ():
             words = f"{whose} key points are in pixels of images {1 / s:.3g} times the calibrated size"
-            yield Trial("scaled", views, words, cure, rig, scaled(views, s))
+            yield Trial("scaled", views, words, cure, rig, moved(views, s))
     for c in known:
         (w, h), (given_w, given_h) = rig[c].size, stored[c] or rig[c].size
         words = (
             f"its key points are in pixels of the stored {given_w} x {given_h} images, not of the calibrated {w} x {h}"
         )
-        yield Trial("scaled", (c,), words, cure, rig, scaled((c,), (w / given_w, h / given_h)))
+        yield Trial("scaled", (c,), words, cure, rig, moved((c,), (w / given_w, h / given_h)))
         cut_x, cut_y = max(w - given_w, 0), max(h - given_h, 0)
         for left, top in sorted({(round(x * cut_x), round(y * cut_y)) for x in _PLACES for y in _PLACES} - {(0, 0)}):
             words = f"its images were cut: {left} px are missing at the left and {top} px at the top"
@@ -206,7 +208,7 @@ def trials(
             )
             # or the loader has stretched them to the calibrated size
             for factor in ((1.0, 1.0), (given_w / w, given_h / h)):
-                yield Trial("cropped", (c,), words, cut, rig, scaled((c,), factor, (left, top)))
+                yield Trial("cropped", (c,), words, cut, rig, moved((c,), factor, (left, top)))
     for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
         words = "the videos belong to other cameras: their order is shifted by one"
         order = 'give each view its camera = "..." in recording.toml'
@@ -215,8 +217,9 @@ def trials(
         "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
         "turn the videos back (ffmpeg -vf hflip,vflip)",
     )
-    yield Trial("mirrored", every, "all images are mirrored", mirror, rig, turned(every, (-1.0, 1.0), True))
-    yield Trial("turned", every, "all images are upside down", turn, rig, turned(every, (-1.0, -1.0), False))
+    mirrored = moved(every, (-1.0, 1.0), turned=True, sides=True)
+    yield Trial("mirrored", every, "all images are mirrored", mirror, rig, mirrored)
+    yield Trial("turned", every, "all images are upside down", turn, rig, moved(every, (-1.0, -1.0), turned=True))
     lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
     for views in ((), *((c,) for c in lenses)) if lenses else ():
         whose = rig.names[views[0]] if views else "the calibration file"
@@ -315,26 +318,21 @@ def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int
     count: K.
     views: number of views.
     """
-    frames = range(max((len(p) for p in people), default=0))
-    single = [
-        [None if p is None or p[t] is None or len(p[t]) != 1 else p[t][0] for p in people]  # type: ignore[index]
-        for t in frames
-    ]
+    rows = [[None if p is None else p[t] for p in people] for t in range(max((len(p) for p in people), default=0))]
+    single = [[None if p is None or len(p) != 1 else p[0] for p in row] for row in rows]
     usable = [row for row in single if sum(p is not None and (p[:, 2] > _CONFIDENT).sum() >= 6 for p in row) >= 2]
     if len(usable) < 3:  # several people in all frames: the tallest, which is mostly the nearest, in all views
-        usable = [[None if v is None or v[t] is None else _tallest(v[t]) for v in people] for t in frames]  # type: ignore[index, arg-type]
-        usable = [row for row in usable if sum(p is not None for p in row) == views]
+
+        def tall(p: Array) -> float:
+            seen = p[:, 2] > _CONFIDENT
+            return float(np.ptp(p[seen, 1])) if seen.sum() > 1 else 0.0
+
+        tallest = [[None if p is None else max(p, key=tall, default=None) for p in row] for row in rows]
+        usable = [row for row in tallest if sum(p is not None and tall(p) > 0 for p in row) == views]
         if len(usable) < 3 or views < 3:
             return None
     chosen = [usable[i] for i in np.unique(np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int))]
     return np.stack([np.stack([np.zeros((count, 3)) if p is None else p for p in row]) for row in chosen], 1)
-
-
-def _tallest(people: Array) -> Array | None:
-    """Select the points (K, 3) of the person (P, K, 3) who is tallest in the picture; None where nothing is seen."""
-    seen = people[..., 2] > _CONFIDENT
-    height = np.array([np.ptp(p[s, 1]) if s.sum() > 1 else 0.0 for p, s in zip(people, seen, strict=True)])
-    return people[height.argmax()] if height.max(initial=0.0) > 0 else None
 
 
 def sides_exchanged(world: Array, names: Sequence[str]) -> bool:

@@ -5,8 +5,8 @@ Names are lower case with the side first (left_shoulder); left is the person's o
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +17,6 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.frame import Keypoints
 from hypose.geometry import Array
-from hypose.json_text import parse_json
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _LIMBS = tuple(
@@ -117,82 +116,6 @@ def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
     return np.array([column.get(f"{other.get(side, side)}_{part}", i) for i, (side, _, part) in enumerate(parts)])
 
 
-def names_of_length(count: int) -> tuple[str, ...]:
-    """Return the names of the key-point set with this number of points (25: OpenPose's BODY_25).
-
-    Raises: InputError, which lists the sets, where no set has this number.
-    """
-    for names in KEYPOINT_SETS.values():
-        if len(names) == count:
-            return names
-    known = ", ".join(f"{k} ({len(v)})" for k, v in KEYPOINT_SETS.items())
-    raise InputError(f"No key-point set has {count} points; the sets are {known}.")
-
-
-def parse_openpose(
-    document: str | bytes | Mapping[str, Any],
-    names: Sequence[str] | None = None,
-    source: str = "The key-point file",
-    raw: bool = False,
-) -> Array:
-    """Read the people of one OpenPose-style JSON document.
-
-    names: the expected set (default: the set of that length).
-    source: name of the file in error messages.
-    raw: accept any number of points, and keep the scores unchanged.
-    Returns: (P, K, 3) u px, v px, confidence 0..1. A point at (0, 0), or without finite position and confidence, is
-        missing: confidence 0.
-    Raises: InputError where it is no such document.
-    """
-    if isinstance(document, (str, bytes)):
-        try:
-            document = parse_json(document)
-        except (ValueError, RecursionError) as problem:
-            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
-    found = document.get("people") if isinstance(document, Mapping) else None
-    found = [] if found == {} else found  # some writers write an empty list so
-    if not isinstance(found, list):
-        raise InputError(
-            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the '
-            f"OpenPose format."
-        )
-    people = []
-    for number, person in enumerate(found):
-        if person == {}:
-            continue
-        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
-        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
-        if flat is None:
-            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
-        try:
-            values = np.array(flat, dtype=np.float64).ravel()
-        except (TypeError, ValueError):
-            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only.') from None
-        if values.size == 0:
-            continue
-        if values.size % 3 or (names is not None and values.size != 3 * len(names)):
-            wanted = "a multiple of 3" if names is None else f"3 x {len(names)} = {3 * len(names)}"
-            raise InputError(
-                f"{source}, person {number}: {values.size} numbers, but {wanted} are needed; name the "
-                f"detector's set with "
-                f"`keypoint_set` (one of {', '.join(KEYPOINT_SETS)})."
-            )
-        points = values.reshape(-1, 3)
-        if names is None and not raw:
-            names_of_length(len(points))
-        finite = np.isfinite(points[:, :2]).all(1)
-        confident = np.nan_to_num(points[:, 2], nan=0.0) > 0
-        if (bad := ~finite & confident).any() or np.isinf(points).any():
-            k = int(np.argmax(bad | np.isinf(points).any(1)))
-            raise InputError(f"{source}, person {number}: key point {k} is not a finite position; export it again.")
-        missing = ~finite | ~confident | (points[:, :2] == 0).all(1)
-        people.append(np.where(missing[:, None], 0.0, points if raw else np.clip(points, None, [np.inf, np.inf, 1.0])))
-    k = len(names) if names is not None else (len(people[0]) if people else 0)
-    if any(len(p) != k for p in people):
-        raise InputError(f"{source}: the people have different numbers of key points.")
-    return np.stack(people) if people else np.zeros((0, k, 3))
-
-
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
     """Convert one person's detected points to Keypoints in undistorted pixels of the working-size cameras.
 
@@ -211,6 +134,8 @@ def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraR
     return Keypoints(np.nan_to_num(out), tuple(names), pinhole)
 
 
+# Offsets of BlazePose's points from joints and landmarks, in shares of the body height, in the rest frame of a left
+# limb. Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points.
 _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
     "nose": (0.0, 0.023, 0.001),
     "eye": (0.0, 0.021, -0.003),
@@ -224,8 +149,6 @@ _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
     "heel": (-0.006, -0.008, -0.005),
     "big_toe": (0.007, 0.013, -0.002),
 }
-"""Offsets of BlazePose's points from joints and landmarks, in shares of the body height, in the rest frame of a left
-limb. Medians over 16 rendered people (benchmark `detector`, seeds 5200 to 5215) of triangulated points."""
 
 
 def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
@@ -386,3 +309,185 @@ def thick_skeleton(
             a, b = at["left_shoulder"], at["right_shoulder"]
             cv2.line(mask, (int(u), int(v)), ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2), 1, thickness)
     return mask
+
+
+# ---- names and orders of other programs ----------------------------------------------------------------------------
+# Find out to which set 2D key points belong: by names in the file, else by their number and the lengths of bones.
+
+
+# other programs' words (MMPose, DeepLabCut, SLEAP, MediaPipe, OpenPose) -> ours, after side and separators are gone
+_WORDS = {
+    "footindex": "big_toe",
+    "bigtoe": "big_toe",
+    "smalltoe": "small_toe",
+    "toe": "big_toe",
+    "hallux": "big_toe",
+    "head": "head_top",
+    "headtop": "head_top",
+    "topofhead": "head_top",
+    "upperneck": "upper_neck",
+    "pelvis": "mid_hip",
+    "root": "mid_hip",
+    "eyeinner": "eye_inner",
+    "eyeouter": "eye_outer",
+}
+_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+_MIDDLE = ("mid", "middle", "center", "centre")
+
+# Longest that a bone of an upright adult appears, in shares of the whole person's extent in the picture.
+_LONGEST: tuple[tuple[str, str, float], ...] = (
+    *(
+        (f"{side}_{a}", f"{side}_{b}", longest)
+        for side in ("left", "right")
+        for a, b, longest in (
+            ("shoulder", "elbow", 0.20),
+            ("elbow", "wrist", 0.18),
+            ("hip", "knee", 0.27),
+            ("knee", "ankle", 0.27),
+            ("shoulder", "hip", 0.36),
+            ("ankle", "heel", 0.10),
+            ("ankle", "big_toe", 0.16),
+            ("eye", "ear", 0.10),
+        )
+    ),
+    ("left_shoulder", "right_shoulder", 0.25),
+    ("left_hip", "right_hip", 0.22),
+    ("left_eye", "right_eye", 0.06),
+    ("nose", "left_eye", 0.07),
+    ("nose", "right_eye", 0.07),
+    ("nose", "neck", 0.20),
+)
+IMPLAUSIBLE = 0.25
+"""Mean excess of bones over their longest usual length, in units of it, from which a set is impossible."""
+_SCATTER = 1.3  # scatter of the ratios due to posture and perspective
+_ENOUGH = 30  # seen bones that the judgement needs
+
+
+def common_name(name: str) -> str:
+    """Convert a key point's name (LBigToe, Left Foot Index, r_hip, hip_r, ...) to hypose's form (left_big_toe).
+
+    Unknown names are returned in lower case with their own words.
+    """
+    text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=^[LR])(?=[A-Z][a-z])", "_", name.strip())
+    words = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
+    if len(words) == 1 and (bare := re.fullmatch(r"(left|right)(\w+)|(\w+)(left|right)", words[0])):
+        words = [bare[1] or bare[4], bare[2] or bare[3]]
+    elif len(words) == 1 and words[0][:1] in "lr" and words[0][1:] in _SIDED:
+        words = [words[0][0], words[0][1:]]
+    side = next((_SIDES[w] for w in words if w in _SIDES), None)
+    rest = [w for w in words if w not in _SIDES and w not in _MIDDLE]
+    part = "".join(rest)
+    part = _WORDS.get(part, part if part in _KNOWN_PARTS else "_".join(rest))
+    if side is not None:
+        return f"{side}_{part}"
+    return "mid_hip" if part == "hip" else part
+
+
+_SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "heel", "eye", "ear", "bigtoe", "smalltoe")
+_KNOWN_PARTS = {n.removeprefix("left_").removeprefix("right_") for names in KEYPOINT_SETS.values() for n in names}
+
+
+def arranged(names: Sequence[str], points: Array) -> tuple[str, Array, list[str]]:
+    """Reorder key points with the names of another program to the key-point set that contains most of them (of equal
+    sets the smaller one).
+
+    points: (..., K, 3).
+    Returns: name of the set; points (..., K', 3) in its order, confidence 0 where a point is missing; the given names
+        that the set does not have.
+    Raises: InputError where no set contains four of the names.
+    """
+    common = [common_name(n) for n in names]
+    held = {s: sum(n in order for n in dict.fromkeys(common)) for s, order in KEYPOINT_SETS.items()}
+    best = max(KEYPOINT_SETS, key=lambda s: (held[s], -len(KEYPOINT_SETS[s])))
+    if held[best] < 4:
+        shown = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+        raise InputError(
+            f"the key points {shown} are not known; name shoulders, elbows, wrists, hips, knees and ankles with left "
+            "and right (left_shoulder, LShoulder, shoulder_l)."
+        )
+    order = KEYPOINT_SETS[best]
+    out = np.zeros((*points.shape[:-2], len(order), 3))
+    for k, name in enumerate(order):
+        if name in common:
+            out[..., k, :] = points[..., common.index(name), :]
+    return best, out, [n for n, c in zip(names, common, strict=True) if c not in order]
+
+
+def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
+    """Compute by how much people's bones are too long if their points are read as points of a certain key-point set.
+
+    points: (N, K, 3) px and confidence, of N people.
+    Returns: mean over bones of the median excess over their longest usual length, in units of it; NaN where too little
+        is seen. Right sets have about 0, others 1 and more.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    names = keypoint_names(keypoint_set)
+    if p.ndim != 3 or p.shape[1] < len(names):
+        return float("nan")
+    seen = p[..., 2] > 0
+    far = np.where(seen[..., None], p[..., :2], np.nan)
+    with np.errstate(all="ignore"):
+        enough = seen.sum(1) >= 6
+        far, seen = far[enough], seen[enough]
+        extent = np.nanmax(np.nanmax(far, 1) - np.nanmin(far, 1), 1) if len(far) else np.zeros(0)
+    ratios, bones = [], 0
+    for a, b, longest in _LONGEST:
+        if a not in names or b not in names:
+            continue
+        i, j = names.index(a), names.index(b)
+        both = seen[:, i] & seen[:, j] & (extent > 1e-6)
+        if not both.any():
+            continue
+        share = np.linalg.norm(far[both, i] - far[both, j], axis=1) / extent[both]
+        bones += int(both.sum())
+        ratios.append(float(np.median(share)) / longest)
+    if bones < _ENOUGH or len(ratios) < 5:
+        return float("nan")
+    # where only a part of the person is in the picture, all bones are too long by the same factor
+    alike = max(1.0, float(np.median(ratios)))
+    return float(np.mean(np.clip(np.array(ratios) / alike - _SCATTER, 0.0, 3.0)))
+
+
+def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[str]) -> tuple[str, str]:
+    """Find out which key-point set the points of people belong to.
+
+    views: per view the points (N, K, 3) of N people, px and confidence.
+
+    stated: name of the set that the user or the file states; None: not stated.
+    usual: sets that are preferred where several have this number of points.
+    Returns: name of the set; how it is known: "stated", "by their number" or "by the lengths of bones".
+    Raises: InputError, without the file's name, where the bones of the stated set are impossible and those of another
+        are not, or where no set has this number of points or fits.
+    """
+    count = views[0].shape[1]
+    fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]
+    fitting = list(dict.fromkeys(fitting))
+    if stated is not None:
+        names = keypoint_names(stated)
+        stated = next(s for s, n in KEYPOINT_SETS.items() if n == names)
+        if len(names) != count:
+            hint = f"; {count} points are those of {' or '.join(fitting)}" if fitting else ""
+            raise InputError(f"there are {count} points per person, {stated} has {len(names)}{hint}.")
+        fitting = [stated, *(s for s in fitting if s != stated)]
+    if not fitting:
+        known = ", ".join(f"{s} ({len(n)})" for s, n in KEYPOINT_SETS.items())
+        raise InputError(f"there are {count} points per person, which no set has; known are {known}.")
+    excess = dict.fromkeys(fitting, float("nan"))
+    for s in fitting:
+        if known := [v for p in views if (v := bone_excess(p, s)) == v]:
+            excess[s] = float(np.mean(known))
+    first = excess[fitting[0]]
+    better = min((s for s in fitting if excess[s] == excess[s]), key=lambda s: excess[s], default=fitting[0])
+    if stated is not None:
+        if first > IMPLAUSIBLE and excess[better] < 0.5 * IMPLAUSIBLE:
+            raise InputError(f"the bones do not fit {stated} but {better}; correct keypoint_set.")
+        return stated, "stated"
+    if excess[better] > IMPLAUSIBLE:
+        raise InputError(
+            f"there are {count} points per person, but as {better} their bones have impossible lengths, so they are "
+            "in another order; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
+        )
+    others = [excess[s] for s in fitting if s != better and excess[s] == excess[s]]
+    if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:
+        return better, "by the lengths of bones"
+    return fitting[0], "by their number"

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.compute.arrays import NOT_KNOWN
-from hypose.compute.mask_distance import shrink_mask, signed_distance
-from hypose.compute.mask_runs import MaskRuns
+from hypose.compute.mask_distance import signed_distance
+from hypose.compute.packed_masks import BitMask
 from hypose.compute.rows import outline_points
 from hypose.geometry import Array, Mask
 
@@ -118,13 +118,13 @@ def outline_in_box(
     return _outline_around(put, box, shape, count, working_height)
 
 
-def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
+def outline_of_runs(runs: BitMask, count: int, working_height: int) -> ViewOutline:
     """Compute the outline of a packed mask for tracking.
 
     count: number of outline points.
     working_height: a mask taller than this is shrunk before, px.
     """
-    draw = partial(mask_runs.draw, runs)
+    draw = partial(packed_masks.draw, runs)
     return _outline_around(draw, runs.box, runs.shape, count, working_height)
 
 
@@ -244,10 +244,8 @@ def _shrink(mask: Mask, halves: int) -> Mask:
     area is.
     """
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
-    mask = mask[: h * halves // 2, : w * halves // 2]
-    if halves % 2:
-        return shrink_mask(mask, halves)
-    share = cv2.resize(mask * np.uint8(254), (w, h), interpolation=cv2.INTER_AREA)  # faster, for whole factors only
+    whole = mask[: h * halves // 2, : w * halves // 2] * np.uint8(254)
+    share = cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)
     return np.asarray(share >= 127).view(np.uint8)
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import mask_runs, picture_to_mask
+from hypose.compute import packed_masks, picture_to_mask
 from hypose.compute.glance import Glance, glance_at
-from hypose.compute.mask_runs import MaskRuns
+from hypose.compute.packed_masks import BitMask
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Silhouettes
@@ -48,7 +48,7 @@ class Segmenter(Protocol):
         """Segment an image (h, w, 3); band: (h, w) where the person can be. Returns the mask (h, w)."""
         ...
 
-    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
+    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> BitMask:
         """Segment the person in an image; return a packed mask.
 
         band: pixels in which the person may be; None: all in the box.
@@ -85,9 +85,9 @@ class SilhouetteSettings:
     keep_gap: float = 0.1
 
     @property
-    def cleaning(self) -> mask_runs.Cleaning:
+    def cleaning(self) -> packed_masks.Cleaning:
         """The settings of the mask's clean-up (opening, closing, holes, small parts)."""
-        return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
+        return packed_masks.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
     def of_all_people(self) -> SilhouetteSettings:
@@ -121,29 +121,26 @@ def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | No
 class _Segmenter:
     def __init__(self, background: BackgroundModel, options: SilhouetteSettings) -> None:
         self._options, self._shape = options, background.valid.shape
-        self._unseen = None if background.valid.all() else mask_runs.bits_of((~background.valid).view(np.uint8))
+        self._unseen = None if background.valid.all() else ~background.valid
         self._room = _room(background, options)
         self.glance: Glance | None = glance_at(self._room)
 
     def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
-        return mask_runs.draw(self.runs(image, band))
+        return packed_masks.draw(self.runs(image, band))
 
-    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
+    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> BitMask:
         h, w = self._shape
         if image.shape != (h, w, 3):
             raise InputError(f"An image of {image.shape[1::-1]} px does not fit a background of {(w, h)} px.")
         box = bounding_box(band) if band is not None else box or (0, h, 0, w)
         if box is None or box[0] == box[1]:
-            return mask_runs.clean(mask_runs.no_bits(h, w), (h, w), mask_runs.Cleaning())
-        bits = picture_to_mask.not_the_room(image, self._room, box)
-        allowed = None if band is None else mask_runs.bits_of(band)
+            return packed_masks.pack(np.zeros((h, w), np.uint8))
+        mask = picture_to_mask.not_the_room(image, self._room, box)
         if self._unseen is not None:  # the room is unknown there: the person where the band allows it, else nothing
-            bits &= ~self._unseen
-            if allowed is not None:
-                bits |= self._unseen & allowed
-        if allowed is not None:
-            bits &= allowed
-        return mask_runs.clean(bits, (h, w), self._options.cleaning)
+            mask[self._unseen] = band is not None
+        if band is not None:
+            mask[band == 0] = 0
+        return packed_masks.clean(mask, self._options.cleaning)
 
 
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
@@ -182,12 +179,12 @@ def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Ma
     keep_share: least area relative to the largest part.
     keep_gap: largest distance of the boxes, relative to the longer side of the largest part's box.
     """
-    return _cleaned(mask, mask_runs.Cleaning(keep_share=keep_share, keep_gap=keep_gap))
+    return _cleaned(mask, packed_masks.Cleaning(keep_share=keep_share, keep_gap=keep_gap))
 
 
-def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
+def _cleaned(mask: Mask, how: packed_masks.Cleaning) -> Mask:
     """Clean a mask (h, w) with the given settings."""
-    return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
+    return packed_masks.draw(packed_masks.clean(mask, how))
 
 
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
@@ -275,7 +272,7 @@ def flag_collapsed(
 
 
 def make_silhouettes(
-    masks: Sequence[Mask | MaskRuns | None], rig: CameraRig, reasons: Sequence[str] | None = None
+    masks: Sequence[Mask | BitMask | None], rig: CameraRig, reasons: Sequence[str] | None = None
 ) -> Silhouettes:
     """Build the silhouettes of one instant from masks (h_c, w_c) per view, packed or not, padded with 0 to the common
     size.
@@ -298,8 +295,8 @@ def make_silhouettes(
                 f"Camera {rig.names[c]}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the camera "
                 f"{sizes[c, 0]} x {sizes[c, 1]} px."
             )
-        if isinstance(mask, MaskRuns):
-            mask_runs.draw(mask, out[c])
+        if isinstance(mask, BitMask):
+            packed_masks.draw(mask, out[c])
             empty = mask.area == 0
         else:
             np.not_equal(mask, 0, out=out[c, : mask.shape[0], : mask.shape[1]].view(np.bool_))

@@ -54,7 +54,6 @@ _OTHER = """
 135.96 103.89 66.88 806.44 642.20 350.36 0.0477
 """
 _BINS = 64
-_CENTRES = (np.arange(_BINS) + 0.5) * (256 / _BINS)
 
 
 def _density(table: str, rgb: Array) -> Array:
@@ -64,13 +63,16 @@ def _density(table: str, rgb: Array) -> Array:
     Returns: (...,) densities.
     """
     out = np.zeros(rgb.shape[:-1])
-    for line in table.split("\n"):
-        if line:
-            *numbers, weight = (float(x) for x in line.split())
-            mean, variance = np.array(numbers[:3]), np.array(numbers[3:])
-            distance = ((rgb - mean) ** 2 / variance).sum(-1)
-            out += weight * np.exp(-0.5 * distance) / np.sqrt((2 * np.pi) ** 3 * variance.prod())
+    for line in np.array(table.split(), dtype=np.float64).reshape(-1, 7):
+        mean, variance, weight = line[:3], line[3:6], line[6]
+        distance = ((rgb - mean) ** 2 / variance).sum(-1)
+        out += weight * np.exp(-0.5 * distance) / np.sqrt((2 * np.pi) ** 3 * variance.prod())
     return out
+
+
+def _bin_centres() -> Array:
+    """Return the colours (64, 64, 64, 3) BGR at the centres of the bins."""
+    return (np.stack(np.meshgrid(*[np.arange(_BINS)] * 3, indexing="ij"), -1) + 0.5) * (256 / _BINS)
 
 
 def skin_posterior(rgb: ArrayLike, prior: float = 0.3) -> Array:
@@ -92,8 +94,7 @@ ColorTable = NDArray[np.float32]
 @cache
 def skin_table(prior: float = 0.3) -> ColorTable:
     """Compute the posterior of Jones & Rehg, P(skin | colour), as a table; prior: share of skin among the pixels."""
-    b, g, r = np.meshgrid(_CENTRES, _CENTRES, _CENTRES, indexing="ij")
-    return skin_posterior(np.stack([r, g, b], -1), prior).astype(np.float32)
+    return skin_posterior(_bin_centres()[..., ::-1], prior).astype(np.float32)
 
 
 def learned_table(
@@ -115,8 +116,7 @@ def learned_table(
     share = prior * here[0] / max(here[0].sum(), 1.0), (1 - prior) * here[1] / max(here[1].sum(), 1.0)
     own = share[0] / np.maximum(share[0] + share[1], 1e-12)
     certainty = (here[0] + here[1]) / (here[0] + here[1] + trust)
-    b, g, r = np.meshgrid(_CENTRES, _CENTRES, _CENTRES, indexing="ij")
-    at = _chroma_bins(np.stack([b, g, r], -1))
+    at = _chroma_bins(_bin_centres())
     return (certainty[at] * own[at] + (1 - certainty[at]) * skin_table(prior)).astype(np.float32)
 
 

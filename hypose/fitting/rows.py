@@ -11,13 +11,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hypose.compute.arrays import NOT_KNOWN
 from hypose.compute.losses import geman_mcclure, lorentzian
-from hypose.compute.shape_rows import outline_rows
+from hypose.compute.parts import covered, projected
+from hypose.compute.rows import BORDER
 from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm
 from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 
+_REFERENCE_PX, _HEIGHT_PX, _OUTLINE = 6.0, 260.0, 130
+"""_REFERENCE_PX: distance, px, of rows of weight 1 on a person of _HEIGHT_PX. _OUTLINE: reference number of points of
+the mask's outline.
+"""
+_FARTHEST = 0.25
+"""Share of the person's height beyond which an outline is another one."""
+_OUT_PX = 1.2
+"""px from the outline to where the body must have ended."""
+_FLAT = 0.3
+"""Slope of a distance below which it has no direction: where two outlines meet."""
+_FEWEST = 8
+"""Least number of edges and of points of a visible outline."""
 _FARTHEST_M = 0.3
 _TURNED_M = 0.06
 """m, extra distance of a surface whose normal points the opposite way."""
@@ -49,19 +64,94 @@ def rows_of_contours(
     projections: (C, 3, 4) cameras; None: those of the term.
     Returns: rows of each usable view.
     """
+    reference = max(_REFERENCE_PX / _HEIGHT_PX * term.height_px, 1.0)
+    farthest, scale = _FARTHEST * term.height_px, term.scale_px * factor
     for c in np.flatnonzero(term.usable).tolist():
-        seen = (term.projections if projections is None else projections)[c], term.sizes[c].tolist()
-        given = at.vertices, at.mesh.faces, at.mesh.edges, *seen, term.sdf[c], term.outline[c]
-        found = outline_rows(*given, term.height_px, spacing_px, normals)
-        if found is not None:
-            (ends, values), scale = found, term.scale_px * factor
-            own = weight * values[:, 5]
-            rho, pull, _ = geman_mcclure((values[:, 1] / scale) ** 2, own / scale**2)
-            share = np.column_stack([1 - values[:, 0], values[:, 0], np.zeros(len(ends))])
-            carrier = ends[:, [0, 1, 1]]
-            point = np.einsum("rc,rcd->rd", share, at.vertices[carrier])
-            cost = 0.5 * float((own * rho).sum())
-            yield Rows(carrier, share, point, values[:, 2:5], values[:, 1], pull, np.full(len(ends), c), cost)
+        p, (width, height) = (term.projections if projections is None else projections)[c], term.sizes[c].tolist()
+        rim = _visible_outline(at, p, (height, width), spacing_px)
+        if rim is None:
+            continue
+        (ends, along, length, uv, normal), sdf = rim, term.sdf[c]
+        # forward: the body's outline in the mask's distances
+        distance, gradient, known = _bilinear(sdf, uv)
+        steep = np.hypot(gradient[:, 0], gradient[:, 1])
+        use = ((gradient * normal).sum(1) > normals * steep) | (steep < _FLAT)
+        use &= known
+        # reverse: the mask's outline to the body's nearest with a similar normal
+        mark = term.outline[c].astype(np.float64)
+        mark = mark[(mark > -1e5).all(1)]
+        outward = _bilinear(sdf, mark)[1]
+        outward /= np.maximum(np.hypot(outward[:, 0], outward[:, 1]), 1e-6)[:, None]
+        gap = (mark[:, :1] - uv[:, 0]) ** 2 + (mark[:, 1:] - uv[:, 1]) ** 2
+        gap[outward[:, :1] * normal[:, 0] + outward[:, 1:] * normal[:, 1] <= normals] = np.inf
+        nearest = gap.argmin(1)
+        near = gap[np.arange(len(mark)), nearest] < farthest**2
+        nearest, mark = nearest[near], mark[near]
+        # along the body's normal: sliding along the outline costs nothing
+        r = np.r_[distance[use], ((uv[nearest] - mark) * normal[nearest]).sum(1)]
+        direction, of = np.concatenate([gradient[use], normal[nearest]]), np.r_[np.flatnonzero(use), nearest]
+        reverse = np.full(len(nearest), _OUTLINE / max(len(term.outline[c]), 1))
+        own = weight * np.r_[length[use] / reference, reverse]
+        rho, pull, _ = geman_mcclure((r / scale) ** 2, own / scale**2)
+        share = np.column_stack([1 - along, along, np.zeros(len(along))])[of]
+        carrier = ends[of][:, [0, 1, 1]]
+        point = np.einsum("rc,rcd->rd", share, at.vertices[carrier])
+        seen = np.einsum("rc,nc->nr", p[:, :3], point) + p[:, 3]
+        slope = np.einsum("nr,rc->nc", direction, p[:2, :3])
+        slope -= (direction * seen[:, :2] / seen[:, 2:]).sum(1, keepdims=True) * p[2, :3]
+        slope /= seen[:, 2:]
+        cost = 0.5 * float((own * rho).sum())
+        yield Rows(carrier, share, point, slope, r, pull, np.full(len(of), c), cost)
+
+
+def _visible_outline(
+    at: Posed, projection: Array, shape: tuple[int, int], spacing_px: float
+) -> tuple[NDArray[np.int64], Array, Array, Array, Array] | None:
+    """Sample the visible outline of a body in one view, away from the border of the picture.
+
+    projection: (3, 4) pinhole projection.
+    shape: (h, w) shape of the picture.
+    spacing_px: distance of the points, px.
+    Returns: of N points: (N, 2) vertices of the mesh edge, (N,) place on it, 0..1, (N,) length of outline for which a
+        point stands, px, (N, 2) px, (N, 2) unit outward normals; None where the body is not in the view.
+    """
+    uv, depth, _ = projected(at.vertices, projection)
+    if not np.isfinite(uv).all():
+        return None
+    faces, edges, size = np.asarray(at.mesh.faces), np.asarray(at.mesh.edges), np.array(shape[::-1])
+    one, two = uv[faces[:, 1]] - uv[faces[:, 0]], uv[faces[:, 2]] - uv[faces[:, 0]]
+    front = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] < 0  # image y grows downwards
+    left = front[edges[:, 2]]
+    on = left != front[edges[:, 3]]
+    ends = np.where(left[on, None], edges[on][:, :2], edges[on][:, 1::-1]).astype(np.int64)
+    way = uv[ends[:, 1]] - uv[ends[:, 0]]
+    length = np.hypot(way[:, 0], way[:, 1])
+    ends, way, length = (x[length > 1e-3] for x in (ends, way, length))
+    count = np.maximum(np.ceil(length / spacing_px), 1).astype(np.int64)
+    of = np.repeat(np.arange(len(count)), count)
+    along = (np.arange(len(of)) - (np.cumsum(count) - count)[of] + 0.5) / count[of]
+    point = uv[ends[of, 0]] + along[:, None] * way[of]
+    # the front face lies on the other side
+    normal = (np.stack([-way[:, 1], way[:, 0]], 1) / length[:, None])[of]
+    inside = ((point >= BORDER) & (point < size - 1 - BORDER)).all(1)
+    column, row = np.clip(np.rint(point + _OUT_PX * normal), 0, size - 1).astype(np.int64).T
+    kept = inside & (covered(uv, depth, faces, shape)[row, column] == 0)
+    if len(ends) < _FEWEST or kept.sum() < _FEWEST:
+        return None
+    return ends[of[kept]], along[kept], (length / count)[of[kept]], point[kept], normal[kept]
+
+
+def _bilinear(image: NDArray[np.float32], at: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Interpolate a signed distance (h, w) bilinearly at points (N, 2), px, inside it.
+
+    Returns: values (N,); gradients (N, 2); whether all four pixels are known (N,).
+    """
+    low = np.clip(np.floor(at).astype(np.int64), 0, np.array(image.shape[::-1]) - 2)
+    (x, y), (a, b) = low.T, (at - low).T
+    s00, s01, s10, s11 = (image[y + j, x + i].astype(np.float64) for j in (0, 1) for i in (0, 1))
+    value = (s00 * (1 - a) + s01 * a) * (1 - b) + (s10 * (1 - a) + s11 * a) * b
+    right, down = (s01 - s00) * (1 - b) + (s11 - s10) * b, (s10 - s00) * (1 - a) + (s11 - s01) * a
+    return value, np.stack([right, down], 1), np.maximum.reduce([s00, s01, s10, s11]) < NOT_KNOWN
 
 
 def rows_of_keypoints(

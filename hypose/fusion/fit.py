@@ -134,21 +134,11 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
+# (18,) m, standard deviations of the lengths of SKELETON_BONES: small for limbs, larger within the trunk.
+_BONE_SD_M = np.array([15, 15, 8, 8, 15, 8, 8, 15, 20, 8, 8, 20, 8, 8, 15, 15, 20, 20]) / 1000
+# Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
+# exchanged (107 degrees).
 _AGAINST = -0.3
-"""Cosine of the angle between a sensor's direction to the left and that of all sensors below which its sides are
-exchanged (107 degrees).
-"""
-
-
-def _bone_sd() -> Array:
-    """Return the standard deviations (18,) m of the bone lengths: small for limbs, larger for the distances within the
-    trunk.
-    """
-    limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
-    stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
-    return np.array(
-        [0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.SKELETON_BONES.tolist()]
-    )
 
 
 @dataclass(frozen=True)
@@ -170,7 +160,7 @@ class FitSettings:
     scale_m: float = 0.05
     coarse: float = 8.0
     iterations: int = 6
-    bone_sd_m: Array = field(default_factory=_bone_sd)
+    bone_sd_m: Array = field(default_factory=_BONE_SD_M.copy)
     prediction_sd_m: float = 0.03
     blend: float = 0.5
     inferred: float = 0.5
@@ -267,17 +257,17 @@ def fit_step(
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start = state.joints
     if start is None:
-        start = _first_guess(points, weights)
+        # weighted means of the sensors' joints; joints that none reports start in the middle of the others
+        total = weights.sum(0)[:, None]
+        mean = (weights[..., None] * points).sum(0) / np.maximum(total, 1e-9)
+        start = np.where(total > 0, mean, mean[total[:, 0] > 0].mean(0) if evidence.any() else 0.0)
         predicted, prior = start, np.ones(15)
     else:
         # a joint that is long unseen slows down and may be anywhere: its bones hold it
         away = np.minimum(time - state.seen, 1.0)
         predicted = start + state.velocity * (dt * np.where(evidence, 1.0, np.exp(-10 * away)))[:, None]
         prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * away)) ** 2
-    x = predicted.copy()
-    share = np.zeros(weights.shape)
-    variance = np.zeros(15)
-    fusion.fit_frame(
+    x, share, variance = fusion.fit_frame(
         points,
         weights,
         predicted,
@@ -289,9 +279,6 @@ def fit_step(
         settings.scale_m,
         settings.coarse,
         settings.iterations,
-        x,
-        share,
-        variance,
     )
     seen = np.where(evidence, time, state.seen)
     if state.joints is None:
@@ -379,17 +366,3 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
         if use.any():
             out[i] = np.median(length[..., i][use])
     return out
-
-
-def _first_guess(points: Array, weights: Array) -> Array:
-    """Compute the weighted means of the sensors' joints.
-
-    points: (K, 15, 3) m.
-    weights: (K, 15), 0 where missing.
-    Returns: (15, 3) m; joints that no sensor sees get the mean of the others, and all are 0 where nothing is seen.
-    """
-    total = weights.sum(0)
-    if not (total > 0).any():
-        return np.zeros((15, 3))
-    mean = (weights[..., None] * points).sum(0) / np.maximum(total, 1e-9)[:, None]
-    return np.where((total > 0)[:, None], mean, mean[total > 0].mean(0))

@@ -1,11 +1,12 @@
 """Fuse the skeletons of one person in a recorded clip (`fuse_clip`).
 
 The sensors are registered and the bone lengths measured over the whole clip; then one of the methods fuses it frame by
-frame. For skeletons that arrive live see `hypose.fusion.live`.
+frame. For skeletons that arrive live see `hypose.fusion.people`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +19,6 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import (
     DOUBTFUL_P,
     FitEstimate,
@@ -34,10 +34,19 @@ from hypose.fusion.register import (
     by_triangles,
     check_same_person,
     common_joints,
-    measured_joint_depth,
     register,
 )
-from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmEstimate, SwarmSettings, start_swarm, swarm_step
+from hypose.fusion.swarm import (
+    IMPROVED,
+    PUBLISHED,
+    SwarmEstimate,
+    SwarmSettings,
+    confidence_step,
+    normalised,
+    start_confidence,
+    start_swarm,
+    swarm_step,
+)
 from hypose.geometry import Array
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
@@ -105,7 +114,18 @@ def fuse_clip(
         raise InputError("There are no frames to fuse; give at least one.")
     s, first = settings or FusionSettings(), joints[0]
     for t, frame in enumerate(joints):
-        _check_alike(frame, first, t)
+        if frame.sensor_names != first.sensor_names:
+            raise InputError(
+                f"Frame {t} has the sensors {', '.join(frame.sensor_names)} instead of "
+                f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report "
+                "nothing."
+            )
+        if frame.joint_names != first.joint_names:
+            raise InputError(
+                f"Frame {t} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of "
+                f"{len(first.joint_names)}; map sensors of different joint sets to the common ones first "
+                "(fusion.register.common_joints)."
+            )
     times = _clip_times(joints)
     # where no sensor sees the person, time goes on, so that the person gets lost
     joints = [
@@ -120,7 +140,10 @@ def fuse_clip(
         registration = register(positions, states)
         if s.check:
             check_same_person(positions, registration, first.sensor_names)
-    places = [registration] * len(raw) if method != PUBLISHED_SWARM else _triangles(positions)
+    places = [registration] * len(raw)
+    if method == PUBLISHED_SWARM:  # every frame by its triangles
+        unplaced = alone(positions.shape[1])
+        places = list(itertools.accumulate(positions, by_triangles, initial=unplaced))[1:]
     world = np.stack([place.apply(p) for place, p in zip(places, positions, strict=True)])
     lengths = clip_lengths(positions, states)
     eyes = np.stack([place.common_from_sensor[:, :3, 3] for place in places])
@@ -150,21 +173,6 @@ def fuse_clip(
     return Fused(motion, shares, places[-1], lengths, first.sensor_names)
 
 
-def _check_alike(frame: SensorJoints, first: SensorJoints, number: int) -> None:
-    """Raise InputError where frame `number` has other sensors or joints than the first one."""
-    if frame.sensor_names != first.sensor_names:
-        raise InputError(
-            f"Frame {number} has the sensors {', '.join(frame.sensor_names)} instead of "
-            f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report nothing."
-        )
-    if frame.joint_names != first.joint_names:
-        raise InputError(
-            f"Frame {number} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of "
-            f"{len(first.joint_names)}; map sensors of different joint sets to the common ones first "
-            "(fusion.register.common_joints)."
-        )
-
-
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     """Compute the time (T,) of each frame of a clip, s: the latest of its sensors; gaps are interpolated, and a clip
     without any time has 30 frames per second.
@@ -178,15 +186,6 @@ def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     return times
 
 
-def _triangles(positions: Array) -> list[Registration]:
-    """Register every frame as published, by its triangles; positions: (T, K, 15, 3) m in the sensors' frames."""
-    places, last = list[Registration](), alone(positions.shape[1])
-    for frame in positions:
-        last = by_triangles(last, frame)
-        places.append(last)
-    return places
-
-
 def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: int) -> Iterator[SwarmEstimate]:
     """Yield the swarm's estimate of each frame.
 
@@ -197,8 +196,8 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     sensors = world.shape[1]
     swarm, memory = start_swarm(sensors), start_confidence(sensors, s.confidence)
     for frame, registered in zip(raw, world, strict=True):
-        depth = measured_joint_depth(frame)
-        memory, inputs = confidence_step(memory, frame.positions, frame.state, depth, frame.times, s.confidence)
+        seen = frame.positions, frame.state, frame.measured_depth, frame.times
+        memory, inputs = confidence_step(memory, *seen, s.confidence)
         noise = s.rules.noise(*normalised(inputs, s.confidence))
         swarm, estimate = swarm_step(swarm, registered, noise, 0.0, s, seed)
         yield estimate
@@ -312,7 +311,14 @@ def _motion(
     place = {j: i for i, j in enumerate(order)}
     bone = {tuple(sorted(b)): v for b, v in zip(jt.SKELETON_BONES.tolist(), lengths.tolist(), strict=True)}
     bones = [bone.get(tuple(sorted((j, parents[j]))), 0.2) for j in order[1:]]
-    skeleton = _point_skeleton([names[j] for j in order], [place.get(parents[j], -1) for j in order], bones)
+    # a skeleton that only names joints: rigid, with six degrees of freedom
+    offsets, six = np.zeros((len(order), 3)), np.ones(6)
+    offsets[1:, 2] = bones
+    above = np.array([place.get(parents[j], -1) for j in order], dtype=np.int64)
+    tree = tuple(names[j] for j in order), above, offsets, np.arange(len(order)) == 0
+    dofs = tuple(f"{names[order[0]]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
+    moves = np.tile(np.eye(3), (2, 1)), np.zeros(6, dtype=np.int64), dofs
+    skeleton = Skeleton(*tree, *moves, -1e3 * six, 1e3 * six, 0.1 * six)
     wrong = known["wrong"]
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
     low_confidence = np.asarray(p > DOUBTFUL_P)
@@ -331,31 +337,6 @@ def _motion(
         low_confidence_joints=low_confidence,
         low_confidence=np.asarray(low_confidence.any(1)),
         systematic_covariance=isotropic(known["systematic"][:, order]),
-    )
-
-
-def _point_skeleton(joint_names: Sequence[str], parents: Sequence[int], lengths: Sequence[float]) -> Skeleton:
-    """Make a skeleton that only names joints, for motions without poses: rigid, with six degrees of freedom.
-
-    joint_names: names of all joints, the root first.
-    parents: index of the parent of each joint, -1 for the root.
-    lengths: m, of the bone from each joint but the root to its parent; at rest joints stand above each other by these.
-    """
-    n = len(joint_names)
-    offsets = np.zeros((n, 3))
-    offsets[1:, 2] = lengths
-    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
-    return Skeleton(
-        tuple(joint_names),
-        np.array(parents, dtype=np.int64),
-        offsets,
-        np.arange(n) == 0,
-        np.tile(np.eye(3), (2, 1)),
-        np.zeros(6, dtype=np.int64),
-        dofs,
-        np.full(6, -1e3),
-        np.full(6, 1e3),
-        np.full(6, 0.1),
     )
 
 

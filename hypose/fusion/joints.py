@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,31 +73,6 @@ class JointSet:
     parent: NDArray[np.int64]
 
 
-_KINECT_2 = (
-    "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight WristRight "
-    "HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft "
-    "ThumbLeft HandTipRight ThumbRight"
-).split()
-_KINECT_2_PARENT = [-1, 0, 20, 2, 20, 4, 5, 6, 20, 8, 9, 10, 0, 12, 13, 14, 0, 16, 17, 18, 1, 7, 6, 11, 10]
-_KINECT_2_COMMON = (
-    "Head SpineShoulder ShoulderLeft ElbowLeft HandLeft ShoulderRight ElbowRight HandRight SpineMid HipLeft KneeLeft "
-    "AnkleLeft HipRight KneeRight AnkleRight"
-).split()
-_AZURE = (
-    "PELVIS SPINE_NAVEL SPINE_CHEST NECK CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT "
-    "THUMB_LEFT CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT THUMB_RIGHT HIP_LEFT "
-    "KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT HEAD NOSE EYE_LEFT EAR_LEFT EYE_RIGHT "
-    "EAR_RIGHT"
-).split()
-_AZURE_PARENT = [-1, 0, 1, 2, 2, 4, 5, 6, 7, 8, 7, 2, 11, 12, 13, 14, 15, 14, 0, 18, 19, 20, 0, 22, 23, 24, 3] + [
-    26
-] * 5
-_AZURE_COMMON = (
-    "HEAD NECK SHOULDER_LEFT ELBOW_LEFT HAND_LEFT SHOULDER_RIGHT ELBOW_RIGHT HAND_RIGHT SPINE_NAVEL HIP_LEFT KNEE_LEFT "
-    "ANKLE_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT"
-).split()
-
-
 def plain_name(name: str) -> str:
     """Normalise the name of a joint for comparison: lower case, letters only, the side in front."""
     letters = re.sub(r"[^a-z]", "", name.lower())
@@ -108,14 +82,27 @@ def plain_name(name: str) -> str:
     return letters
 
 
-@cache
 def joint_sets() -> tuple[JointSet, ...]:
     """Return the known joint sets: OpenNI (15), Kinect v2 (25), Azure Kinect (32)."""
-    return (
-        _set("OpenNI", COMMON, PARENT.tolist(), COMMON),
-        _set("Kinect v2", _KINECT_2, _KINECT_2_PARENT, _KINECT_2_COMMON),
-        _set("Azure Kinect", _AZURE, _AZURE_PARENT, _AZURE_COMMON),
+    kinect_2 = (
+        "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight WristRight "
+        "HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight SpineShoulder "
+        "HandTipLeft ThumbLeft HandTipRight ThumbRight",
+        [-1, 0, 20, 2, 20, 4, 5, 6, 20, 8, 9, 10, 0, 12, 13, 14, 0, 16, 17, 18, 1, 7, 6, 11, 10],
+        "Head SpineShoulder ShoulderLeft ElbowLeft HandLeft ShoulderRight ElbowRight HandRight SpineMid HipLeft "
+        "KneeLeft AnkleLeft HipRight KneeRight AnkleRight",
     )
+    azure = (
+        "PELVIS SPINE_NAVEL SPINE_CHEST NECK CLAVICLE_LEFT SHOULDER_LEFT ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT "
+        "THUMB_LEFT CLAVICLE_RIGHT SHOULDER_RIGHT ELBOW_RIGHT WRIST_RIGHT HAND_RIGHT HANDTIP_RIGHT THUMB_RIGHT "
+        "HIP_LEFT KNEE_LEFT ANKLE_LEFT FOOT_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT FOOT_RIGHT HEAD NOSE EYE_LEFT "
+        "EAR_LEFT EYE_RIGHT EAR_RIGHT",
+        [-1, 0, 1, 2, 2, 4, 5, 6, 7, 8, 7, 2, 11, 12, 13, 14, 15, 14, 0, 18, 19, 20, 0, 22, 23, 24, 3] + [26] * 5,
+        "HEAD NECK SHOULDER_LEFT ELBOW_LEFT HAND_LEFT SHOULDER_RIGHT ELBOW_RIGHT HAND_RIGHT SPINE_NAVEL HIP_LEFT "
+        "KNEE_LEFT ANKLE_LEFT HIP_RIGHT KNEE_RIGHT ANKLE_RIGHT",
+    )
+    openni = " ".join(COMMON), PARENT.tolist(), " ".join(COMMON)
+    return tuple(_set(n, *of) for n, of in (("OpenNI", openni), ("Kinect v2", kinect_2), ("Azure Kinect", azure)))
 
 
 def joint_set(names: Sequence[str]) -> JointSet:
@@ -142,11 +129,8 @@ def joint_set(names: Sequence[str]) -> JointSet:
     )
 
 
-def _set(name: str, names: Sequence[str], parent: Sequence[int], common: Sequence[str]) -> JointSet:
-    at = {plain_name(n): i for i, n in enumerate(names)}
-    return JointSet(
-        name,
-        tuple(names),
-        np.array([at[plain_name(n)] for n in common]),
-        np.array(parent),
-    )
+def _set(name: str, joints: str, parent: Sequence[int], common: str) -> JointSet:
+    """Make a joint set; joints, common: the names of its joints, and of those that are the common ones, in order."""
+    at = {plain_name(n): i for i, n in enumerate(joints.split())}
+    of_common = np.array([at[plain_name(n)] for n in common.split()])
+    return JointSet(name, tuple(joints.split()), of_common, np.array(parent))

@@ -30,8 +30,8 @@ person.
 """
 FEWEST_PAIRS = 12
 """Least number of joints that two sensors must see in common to be registered."""
+# Scale of the Cauchy weights, m.
 _SCALE_M = 0.04
-"""Scale of the Cauchy weights, m."""
 
 
 @dataclass(frozen=True)
@@ -72,30 +72,8 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
         frame.times,
         jt.COMMON,
         frame.sensor_names,
-        frame.depth,
-        frame.intrinsics,
         None if frame.joint_depth is None else frame.joint_depth[:, pick],
     )
-
-
-def measured_joint_depth(frame: SensorJoints) -> Array | None:
-    """Read the depth map at the pixel of each joint.
-
-    Returns: (K, J) m, 0 where there is no depth (a hole, or outside the picture); None where the frame has no depth
-        maps.
-    """
-    if frame.joint_depth is not None:
-        return frame.joint_depth
-    if frame.depth is None or frame.intrinsics is None:
-        return None
-    z = frame.positions[..., 2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        u = frame.intrinsics[:, 0, 0, None] * frame.positions[..., 0] / z + frame.intrinsics[:, 0, 2, None]
-        v = frame.intrinsics[:, 1, 1, None] * frame.positions[..., 1] / z + frame.intrinsics[:, 1, 2, None]
-    height, width = frame.depth.shape[1:]
-    ok = np.isfinite(u) & np.isfinite(v) & (z > 0) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    x, y = np.where(ok, np.rint(u), 0).astype(np.intp), np.where(ok, np.rint(v), 0).astype(np.intp)
-    return np.where(ok, frame.depth[np.arange(len(z))[:, None], y, x], 0.0).astype(np.float64)
 
 
 def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:

@@ -23,7 +23,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
-from hypose.evidence.keypoint_sets import common_name
+from hypose.evidence.keypoints import common_name
 from hypose.geometry import Array, procrustes, transform
 from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES

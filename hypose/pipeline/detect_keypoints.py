@@ -35,7 +35,7 @@ def wants_detector(recording: Recording) -> bool:
     or depth.
     """
     views = recording.views
-    reported = any(v.keypoints or v.masks or v.background or v.depth for v in views)
+    reported = any({"keypoints", "masks", "background", "depth"} & v.files.keys() for v in views)
     return len(views) > 1 and not reported and all(v.source is not None for v in views)
 
 

@@ -21,9 +21,8 @@ from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.prefetch import prepared_masks
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import beyond_usual
 from hypose.tracking.joint_features import audit_frame, more_than_body
 from hypose.tracking.tracker import FrameEstimate, Tracker
@@ -45,14 +44,10 @@ def looked_at(
     views = max((len(pictures.rig) for pictures in (*frame.of(Silhouettes), *frame.of(Keypoints))), default=0)
     if views < frame.fewest_views:  # one camera's other poses are judged otherwise
         return replace(estimate, seen=seen)
-    wanted = tracker.settings.evidence
-    own = replace(
-        frame,
-        silhouettes=frame.silhouettes if wanted != "keypoints" else None,
-        keypoints=frame.keypoints if wanted != "silhouettes" else None,
-    )
+    unused = {"keypoints": Silhouettes, "silhouettes": Keypoints}
+    own = frame.without(*(kind for evidence, kind in unused.items() if evidence == tracker.settings.evidence))
     # with key points an exchange of sides that masks allow is no reason for doubt
-    exchanged = estimate.exchanged if own.keypoints is None else float("nan")
+    exchanged = float("nan") if own.of(Keypoints) else estimate.exchanged
     audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, exchanged)
     return replace(estimate, seen=seen, audit=audit)
 

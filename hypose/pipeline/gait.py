@@ -26,7 +26,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import soles_of
+from hypose.tracking.smoothing import soles_of
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from hypose.calibration.depth_registration import (
 )
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, HyposeError, InputError
-from hypose.evidence.depth_evidence import Depth, SurfacePoints
-from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_background import learn_background
+from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
@@ -34,11 +34,10 @@ from hypose.io.recordings.recording import Recording, ViewSettings, write_record
 from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, TrackedSubject, different_poses, estimate_subject
 from hypose.pipeline.track_loop import FrameList, StageProgress
 from hypose.pipeline.track_options import TrackOptions
 
@@ -110,21 +109,22 @@ def _imported(
     views, cameras, times, notes = list[ViewSettings](), list[Camera](), list[Array](), list[str]()
     for n, source in enumerate(sources):
         report("read", n, len(sources))
-        name = _free(file_name(Path(source).stem), [v.name for v in views])
+        own, taken = file_name(Path(source).stem), [v.name for v in views]
+        name = next(n for n in (own, *(f"{own}_{k}" for k in range(2, len(taken) + 3))) if n not in taken)
         camera, seen = _written(source, folder / "read" / name, frame_rate, millimetres)
         if Path(source).is_dir() and frame_rate is None:
             notes.append(f"{name}: a folder of maps does not tell its frame rate; {FOLDER_RATE:g} per s are taken.")
-        room = None
+        files = {"depth": folder / "depth" / name}
         if empty:
-            room = folder / "background" / name
-            lens, _ = _written(empty[n], room, frame_rate, millimetres)
+            files["background"] = folder / "background" / name
+            lens, _ = _written(empty[n], files["background"], frame_rate, millimetres)
             if lens.size != camera.size:
                 raise InputError(
                     f"{empty[n]} has maps of {lens.size[0]} x {lens.size[1]} px, {source} of {camera.size[0]} x "
                     f"{camera.size[1]} px; record both in the same mode."
                 )
-        floor = _on_floor(source, room or folder / "read" / name, camera)
-        views.append(ViewSettings(name, depth=folder / "depth" / name, background=room))
+        floor = _on_floor(source, files.get("background", folder / "read" / name), camera)
+        views.append(ViewSettings(name, files))
         cameras.append(replace(camera, name=name, camera_from_world=floor))
         notes.append(f"{name}: {cameras[-1].position[2]:.2f} m above the floor.")
         times.append(seen)
@@ -137,7 +137,13 @@ def _imported(
         )
     rate = float(np.round(np.median(rates), 1))
     for view, camera, seen in zip(views, cameras, times, strict=True):
-        number, known = _in_step(seen, rate)
+        # the nearest map of each instant k / rate, and whether it is near enough
+        after = seen - seen[0]
+        at = np.arange(round(after[-1] * rate) + 1) / rate
+        right = np.minimum(np.searchsorted(after, at), len(after) - 1)
+        left = np.maximum(right - 1, 0)
+        number = np.where(at - after[left] < after[right] - at, left, right)
+        known = np.abs(after[number] - at) <= SETTINGS.placing_near / rate
         if lost := int((~known).sum()):
             notes.append(f"{view.name}: {lost} of {len(known)} frames were lost while recording; their maps are empty.")
         _moved(folder / "read" / view.name, folder / "depth" / view.name, number, known, camera.size)
@@ -152,7 +158,11 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
-            shared = [v.name for v, c in zip(views, cameras, strict=True) if empty and _several(folder, v, c, rate)]
+            shared, many = list[str](), FrameSettings(silhouettes=recording.silhouettes, people=True)
+            for view, camera in zip(views, cameras, strict=True) if empty else ():
+                with FrameStream(_recording(folder, CameraRig((camera,)), [view], rate), many) as frames:
+                    if count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1:
+                        shared.append(view.name)
             if shared:
                 first_s = SETTINGS.placing_looked_at / rate
                 raise type(error)(
@@ -197,12 +207,8 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     """Estimate camera_from_world (4, 4) from the floor in the median of the camera's first maps; an error names the
     source.
     """
-    maps = DepthSource(ViewSettings(camera.name, depth=folder), camera, camera.pinhole())
-    first = np.stack([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))])
-    first[first <= 0] = np.nan
-    known = np.isfinite(first).any(0)
-    calm = np.zeros(first.shape[1:], np.float32)
-    calm[known] = np.nanmedian(first[:, known], axis=0)
+    maps = DepthSource(ViewSettings(camera.name, {"depth": folder}), camera, camera.pinhole())
+    calm = learn_background([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))]).depth
     try:
         found = camera_on_floor(calm, camera)
     except EvidenceError as error:
@@ -234,16 +240,6 @@ def _rate(times: Array, source: str | Path) -> float:
     return found
 
 
-def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Assign to each instant k / rate the nearest map of those at times (T,) s, and whether it is near enough."""
-    after = times - times[0]
-    at = np.arange(round(after[-1] * rate) + 1) / rate
-    right = np.minimum(np.searchsorted(after, at), len(after) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(at - after[left] < after[right] - at, left, right)
-    return nearest, np.abs(after[nearest] - at) <= SETTINGS.placing_near / rate
-
-
 def _moved(
     read: Path, folder: Path, number: NDArray[np.int64], known: NDArray[np.bool_], size: tuple[int, int]
 ) -> None:
@@ -261,7 +257,7 @@ def _moved(
 
 
 def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate: float) -> Recording:
-    count = min(len(list_images(v.depth)) for v in views if v.depth is not None)
+    count = min(len(list_images(v.files["depth"])) for v in views)
     name = text_of(folder.resolve().name)
     return Recording(folder, name, rig, tuple(views), rate, None, keypoint_set=None, n_frames=count)
 
@@ -289,29 +285,15 @@ def _clip(recording: Recording) -> list[Frame]:
     return found[whole[0] : whole[-1] + 1]
 
 
-def _several(folder: Path, view: ViewSettings, camera: Camera, rate: float) -> bool:
-    """Return whether several people are seen in the frames by which a camera is registered; the empty room is known."""
-    recording = _recording(folder, CameraRig((camera,)), [view], rate)
-    with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
-        return count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1
-
-
 def _without_first(view: ViewSettings, count: int) -> None:
     """Remove the first `count` maps of a view, so that all views begin at the same instant."""
-    assert view.depth is not None
-    files = list_images(view.depth)
+    files = list_images(view.files["depth"])
     if count >= len(files):
         raise InputError(f"{view.name} ended before the others began; start all cameras together.")
     for file in files[:count]:
         file.unlink()
     for k, file in enumerate(files[count:]):
         file.rename(file.with_name(f"{k:06d}.png"))
-
-
-def _free(name: str, taken: Sequence[str]) -> str:
-    """Return the name, with a number where it is taken."""
-    numbered = (f"{name}_{n}" for n in range(2, len(taken) + 3))
-    return name if name not in taken else next(n for n in numbered if n not in taken)
 
 
 @dataclass(frozen=True)
@@ -334,7 +316,7 @@ def register_depth(
     """Register depth cameras by the motion of one person that each of them saw.
 
     clips: frames of each sensor; its rig is that sensor alone, in a world of its own with z up and the floor at z = 0
-        (`hypose.evidence.depth_floor.camera_on_floor`); times are on its own clock.
+        (`hypose.evidence.depth_evidence.camera_on_floor`); times are on its own clock.
     frame_rate: Hz.
     progress: called with stage, done, total; raising KeyboardInterrupt in it ends the work.
     Returns: the cameras in the first one's world.
@@ -384,7 +366,8 @@ def register_depth(
         poses = tracked.poses
         assert poses is not None
         chosen = different_poses(estimate.body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
-        seen = [[_surface(clips[k][paired[t][k]]) for t in chosen] for k in range(len(clips))]
+        depths = [[clip[paired[t][k]].the(Depth) for t in chosen] for k, clip in enumerate(clips)]
+        seen = [[in_camera(d.surface, d.rig[0].camera_from_world) for d in own] for own in depths]
         cameras = refine_registration(estimate.body, poses[chosen], seen, cameras)
     report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
@@ -423,12 +406,6 @@ def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[li
     if len(out) < 10:
         raise InputError("The depth cameras share fewer than ten instants; start them together, or record for longer.")
     return out
-
-
-def _surface(frame: Frame) -> SurfacePoints:
-    """Return the surface points of a sensor's frame, in the sensor's own frame of reference."""
-    depth = frame.the(Depth)
-    return in_camera(depth.surface, depth.rig[0].camera_from_world)
 
 
 def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraRig) -> Frame:

@@ -17,7 +17,7 @@ from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, f
 from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
 from hypose.calibration.diagnose_points import late_views, timing_findings, undo_point_faults
 from hypose.calibration.diagnostics import gross_silhouettes
-from hypose.calibration.findings import INVALID, Finding, Limits, depth_findings
+from hypose.calibration.findings import Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, widest_angle
 from hypose.errors import HyposeError
@@ -62,7 +62,7 @@ def check_inputs(
 def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     """Check the depth maps alone, also of frames with several people."""
     with contextlib.suppress(HyposeError):
-        if source.frame(0).depth is None:  # frames spread over videos take long to read
+        if not source.frame(0).of(Depth):  # frames spread over videos take long to read
             return ()
     return depth_findings(pieces_of(_some(source), Depth))
 
@@ -91,11 +91,6 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 def places_refuted(found: Sequence[Finding]) -> bool:
     """Return whether a finding refutes the places of the cameras; then people cannot be separated."""
     return any(f.fault and f.kind in ("places", "swapped", "mirrored") for f in found)
-
-
-def sentences(found: Sequence[Finding], severity: str = INVALID) -> tuple[str, ...]:
-    """List the findings of one severity as sentences, each with its next step."""
-    return tuple(f.sentence for f in found if f.severity == severity)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:

@@ -22,7 +22,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import different_poses
+from hypose.pipeline.subject import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
 

@@ -34,14 +34,13 @@ from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
 from hypose.evidence.keypoints import person_size
 from hypose.evidence.skin import skin_map
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.io.files import read_json
 from hypose.io.videos.video import open_video
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
+from hypose.pipeline.subject import TrackedSubject
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, PointsOn, clicked_joints, keypoints_on, seen_points
 from hypose.tracking.monocular.problem import SMALLEST_MASK
@@ -70,7 +69,8 @@ class RecordedFrames(FrameSource, Protocol):
     recording: Recording
     options: FrameSettings
     rig: CameraRig
-    keypoints: Sequence[Keypoints] | None
+    kinds: frozenset[type]
+    keypoints: Sequence[Keypoints]
     frames: range
 
     def pictures(self) -> list[ViewSource]:
@@ -101,9 +101,10 @@ class PictureFrames:
         frame = self._source.frame(index)
         if self._pictures is None or not isinstance(self._source, RecordedFrames):
             return frame
-        seen, mask = frame.silhouettes, None
-        if seen is not None and seen.usable[0] and seen.areas[0] >= SMALLEST_MASK:
-            mask = seen.masks[0]
+        mask = None
+        for seen in frame.of(Silhouettes):
+            if seen.usable[0] and seen.areas[0] >= SMALLEST_MASK:
+                mask = seen.masks[0]
         picture = Picture(self._source.rig[0], self._pictures.image(frame.index), None, mask)
         return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
 
@@ -189,7 +190,7 @@ def tracked_frames(
     if not (
         "detections" in needs
         and isinstance(source, RecordedFrames)
-        and source.keypoints is None
+        and Keypoints not in source.kinds
         and all(view.source is not None for view in source.recording.views)
     ):
         yield from (source.frame(i) for i in indices)
@@ -213,9 +214,7 @@ class ColourDetections:
     def __init__(self, source: RecordedFrames, body: Body, start: Array) -> None:
         self.source, self.body = source, body
         self._pictures = source.pictures()
-        first = source.frame(0).silhouettes
-        if first is None:
-            raise InputError("Skin colour is looked for inside the silhouettes; choose an evidence that has them.")
+        first = source.frame(0).the(Silhouettes)
         images = self._images(0, first)
         if np.ptp(images.astype(np.int16), axis=-1).max() < 8:
             raise InputError(
@@ -395,7 +394,7 @@ def subject_in_picture(
     """
     with contextlib.closing(PictureFrames(source)) as frames:
         template, seen = body or human(), _keypoints_of(source)
-        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        notes = [_evidence_note(source, evidence, bool(seen))]
         if start in POINT_STARTS:
             at, points = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
@@ -410,7 +409,7 @@ def subject_in_picture(
             points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
-        later = () if body is not None else _later_points(seen, at)
+        later = () if body is not None else _later_points(seen, at, len(source))
         fit = initialise(
             template,
             points_on,
@@ -438,11 +437,11 @@ def subject_in_picture(
     return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
-def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
-    """Return the key points of every frame, without reading pictures where possible."""
+def _keypoints_of(source: FrameSource) -> dict[int, Keypoints]:
+    """Return the key points by frame, without reading pictures where possible."""
     if isinstance(source, RecordedFrames):
-        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
-    return [source.frame(i).keypoints for i in range(len(source))]
+        return dict(enumerate(source.keypoints))
+    return {i: points for i in range(len(source)) for points in source.frame(i).of(Keypoints)}
 
 
 def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
@@ -453,23 +452,22 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
     keypoints: whether any frame has key points.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    masked = isinstance(source, RecordedFrames) and source.options.silhouettes is not None
+    masked = isinstance(source, RecordedFrames) and Silhouettes in source.kinds
     used = ["edges", "optical flow"]
     used += ["silhouettes"] if masked else []
     used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
     return f"one camera ({name}): {', '.join(used)}"
 
 
-def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
+def _later_points(seen: Mapping[int, Keypoints], first: int, stop: int) -> tuple[PointsOn, ...]:
     """Select key points of frames over the whole clip, from which lengths of the body are measured.
 
-    seen: key points of all frames.
-    first: number of the frame of the start.
+    seen: key points by frame.
+    first, stop: number of the frame of the start, and of all frames.
     Returns: functions that place the key points of a frame on a body.
     """
-    rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
-    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
-    return tuple(partial(keypoints_on, k) for k in some)
+    rows = np.unique(np.linspace(first, stop - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:].tolist()
+    return tuple(partial(keypoints_on, seen[i]) for i in rows if i in seen and _enough(seen[i]))
 
 
 def _enough(seen: Keypoints) -> bool:
@@ -477,22 +475,22 @@ def _enough(seen: Keypoints) -> bool:
     return seen_points(keypoints_on(seen, human())) >= LEAST_CLICKS
 
 
-def _first_keypoints(source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float) -> tuple[int, Keypoints]:
+def _first_keypoints(source: FrameSource, seen: Mapping[int, Keypoints], frame_rate: float) -> tuple[int, Keypoints]:
     """Find the first frame of the first second with enough key points; return its number and its key points.
 
-    seen: key points of all frames.
+    seen: key points by frame.
     frame_rate: Hz.
     Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
     name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    if not any(k is not None for k in seen):
+    if not seen:
         raise InputError(
             f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
             "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
         )
-    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
-        if k is not None and _enough(k):
-            return i, k
+    for i in range(1 + int(frame_rate)):
+        if i in seen and _enough(seen[i]):
+            return i, seen[i]
     raise EvidenceError(
         f"Camera {name}: no frame of the first second has {LEAST_CLICKS} confident key points; give --frames to begin "
         "later, or --start clicks.json."

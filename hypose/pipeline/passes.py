@@ -26,12 +26,11 @@ from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.prefetch import look_ahead
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.inference.layer import Memory, Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
 from hypose.pipeline import input_checks
-from hypose.pipeline.assessment import not_shown, other_people_note
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.assessment import Change, list_changes, not_shown, other_people_note, with_trace
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
@@ -52,8 +51,13 @@ from hypose.pipeline.retracking import (
     start_notes,
 )
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import height_sentence, measured_height
-from hypose.pipeline.trace import Change, list_changes, with_trace
+from hypose.pipeline.subject import (
+    SubjectOptions,
+    TrackedSubject,
+    find_subject,
+    height_sentence,
+    measured_height,
+)
 from hypose.pipeline.track_loop import (
     Deferred,
     FrameSource,
@@ -64,7 +68,6 @@ from hypose.pipeline.track_loop import (
 )
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
-from hypose.tracking.contacts import runs
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -73,10 +76,10 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_joints,
 )
 from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.pose_covariance import unpacked
+from hypose.tracking.refinement import unpacked
 from hypose.tracking.smoothing import Clip
 from hypose.tracking.tracker import (
     RECOVERED,
@@ -530,14 +533,14 @@ def judge_joints(clip: ClipState) -> ClipState:
             audit=np.stack([e.audit for e in estimates]),
             covariance=pose_covariance(unpacked(information, clip.who.body.skeleton.dof)),
         )
-        depth = clip.source.frame(0).depth is not None
+        depth = clip.source.frame(0).kind == "depth"
         silhouettes = clip.options.looks_at == "silhouettes"
-        points = None if silhouettes else getattr(clip.source, "keypoints", None)  # where they are in memory
+        points = () if silhouettes else getattr(clip.source, "keypoints", ())  # where they are in memory
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
     assert clip.audit is not None
     # of an interrupted run, the key points of its frames
-    motion = _with_errors(clip, "depth" if depth else None, points and points[: len(clip.audit)])
+    motion = _with_errors(clip, "depth" if depth else None, points[: len(clip.audit)])
     found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
     return replace(clip, motion=motion).with_findings(*found)
 
@@ -554,16 +557,16 @@ def _assess_picture(clip: ClipState) -> ClipState:
     return replace(clip, motion=motion).with_findings(*found)
 
 
-def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None] | None) -> Motion:
+def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints | None]) -> Motion:
     """Add to the motion the error probability of each joint, and standard deviations that also cover wrong joints.
 
     known: kind of evidence, where the audit does not show it.
-    points: key points of the frames; None where they are not in memory.
+    points: key points of the frames; empty where they are not in memory.
     """
     motion, subject, audit, covariance = clip.motion, clip.who, clip.audit, clip.covariance
     assert motion is not None and audit is not None and covariance is not None and clip.one_by_one is not None
     evidence = known or evidence_of(audit)
-    if points is not None and subject.keypoints is not None and any(k is not None for k in points):
+    if subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
         lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))

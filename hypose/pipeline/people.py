@@ -1,8 +1,8 @@
 """Find the people of a recording at its beginning, and those who come, leave and return while it is tracked.
 
-People are found where no tracked body explains the visual hull (`hypose.evidence.hull_people`), in the first frames and
-repeatedly later. Each has a tracker of their own (`hypose.tracking.several`). After tracking, each has a clip of their
-own (`OwnFrames`), in which the bodies of the others hide what they cover.
+People are found where no tracked body explains the visual hull (`hypose.evidence.people`), in the first frames and
+repeatedly later. Each has a tracker of their own (`step_together`). After tracking, each has a clip of their own
+(`OwnFrames`), in which the bodies of the others hide what they cover.
 
 Bodies of people who hide each other: hulls of people near each other merge, so which part hides a person is a guess,
 and only arms and feet show front and back. So each person is first tracked with the template, scaled to their size, on
@@ -24,34 +24,37 @@ from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence import depth_people
 from hypose.evidence.cues import surface_evidence
-from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import HullPerson, views_to_find
-from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
+from hypose.evidence.people import SOLVED_WIDENING, HullPerson, Other, own_frame, people_seen, views_to_find
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.frame_anomalies import looked_at
-from hypose.pipeline.person_paths import (
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.start_choice import best_ways, way_of
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, find_subject
+from hypose.pipeline.track_loop import (
+    FrameSource,
+    Member,
+    StageProgress,
+    TrackedPerson,
+    TrackingSession,
+    shape_of,
+    step_together,
+    tracker_of,
+)
+from hypose.pipeline.track_management import (
     KeypointPeople,
     KnownPerson,
     Path,
-    follow_places,
-    lasting,
-    names_at_places,
-)
-from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, way_of
-from hypose.pipeline.subject_from_motion import different_poses
-from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, TrackingSession, tracker_of
-from hypose.pipeline.track_management import (
     back_again,
     birth_candidates,
     candidate_evidence,
     explained_by,
+    follow_places,
+    lasting,
+    names_at_places,
     not_parts,
     part_doubles,
     swap_identities,
@@ -61,7 +64,6 @@ from hypose.pipeline.track_management import (
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import refine
-from hypose.tracking.several import Member, shape_of, step_together
 from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.start_search import Start
 from hypose.tracking.tracker import FrameEstimate
@@ -115,7 +117,7 @@ def frame_of_person(
         for k, p in enumerate(paths)
         if k != who and (other := _hiding(None if rough is None else rough[k], p.found.get(number), number, s.rig))
     ]
-    return depth_people.own_frame(frame, here.shape(s.rig), others)
+    return own_frame(frame, here.shape(s.rig), others)
 
 
 def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
@@ -323,7 +325,7 @@ class PeopleFinder:
         named, numbers = range(last, min(named + 1, len(self.source)), self._look_every), self._fit_numbers(0)
         paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
         if not paths:
-            if self.source.frame(0).depth is not None:
+            if self.source.frame(0).kind == "depth":
                 raise EvidenceError(
                     "No person stands before the depth cameras at the beginning; begin with --frames where people are "
                     "seen, and record the empty room again if it has changed."
@@ -485,7 +487,7 @@ class PeopleFinder:
         known = [other for s in masks for other in explained_by(people, s)]
         if not any(birth_candidates(known, s, views_to_find(frame)) for s in masks):
             return []
-        found = not_parts(depth_people.people_seen(frame, known), people)
+        found = not_parts(people_seen(frame, known), people)
         candidates = list[Array]()
         for person in found:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
@@ -594,4 +596,4 @@ class OwnFrames:
             for p in self.people
             if p is not who and p.present[index] and not p.estimates[index].lost
         ]
-        return depth_people.own_frame(frame, own, others)
+        return own_frame(frame, own, others)

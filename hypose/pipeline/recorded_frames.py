@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.depth_people import people_seen
 from hypose.evidence.frame import Frame, Silhouettes, pieces_of
-from hypose.evidence.hull_people import HullPerson, views_to_find
 from hypose.evidence.keypoints import person_size
-from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
+from hypose.evidence.people import HullPerson, people_seen, views_to_find
+from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints, unreported
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.one_camera import Clicks, clicks_of, extent, source_of
@@ -40,7 +38,7 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
     if options.looks_at == "keypoints":  # key points need no images, so nothing is decoded
-        return FrameSettings(silhouettes=None)
+        return FrameSettings(masks=False)
     if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
         return FrameSettings(silhouettes=recording.silhouettes, colours=True)
     return None
@@ -116,14 +114,13 @@ def has_masks(recording: Recording) -> bool:
     Why: a background learned from the clip contains the person.
     """
     view = recording.views[0]
-    return view.masks is not None or view.background is not None
+    return bool({"masks", "background"} & view.files.keys())
 
 
-def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
-    """Select the settings of the one camera's masks.
+def needs_masks(recording: Recording, evidence: str) -> bool:
+    """Return whether masks of the one camera are made: it has masks, and the evidence is with them.
 
     evidence: option of the command, one of `tracking.monocular.recipe.PICTURE_CUES`.
-    Returns: the settings; None where the camera has no masks, or the evidence is without them.
     Raises: InputError where the evidence needs masks or key points that the camera does not have.
     """
     view = recording.views[0]
@@ -132,12 +129,12 @@ def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
             f"Camera {view.name} has neither masks nor a background, so it gives no silhouettes; add masks or a "
             "background in recording.toml, or leave --evidence out."
         )
-    if evidence in ("keypoints", "both") and (recording.keypoint_set is None or not view.keypoints):
+    if evidence in ("keypoints", "both") and (recording.keypoint_set is None or "keypoints" not in view.files):
         raise InputError(
             f"Camera {view.name} has no key points; add keypoints = ... to the view in recording.toml, or leave "
             "--evidence out."
         )
-    return SilhouetteSettings() if has_masks(recording) and evidence in ("auto", "silhouettes", "both") else None
+    return has_masks(recording) and evidence in ("auto", "silhouettes", "both")
 
 
 def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
@@ -148,9 +145,8 @@ def picture_options(recording: Recording, start: str, evidence: str) -> FrameSet
     start: one of POINT_STARTS, or a file of clicks.
     evidence: one of `tracking.monocular.recipe.PICTURE_CUES`.
     """
-    return FrameSettings(
-        side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
-    )
+    side = side_to_work_on(recording, clicks_of(start, recording))
+    return FrameSettings(side, masks=needs_masks(recording, evidence))
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
@@ -162,10 +158,9 @@ def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
     if clicks is not None:
         with open_video(source_of(recording)) as reader:
             return working_side(recording, extent(np.array(list(clicks.values()))), reader.size)
-    points = load_keypoints(recording)
-    sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
-    found = [s for s in sizes if s > 0]
-    if points is None or not found:
+    points = load_keypoints(recording)[: 1 + int(recording.frame_rate)]
+    found = [size for k in points if (size := person_size(k.points[0])) > 0]
+    if not found:
         return FrameSettings().longer_side
     return working_side(recording, float(np.median(found)), points[0].rig[0].size)
 
@@ -199,7 +194,7 @@ def _others_in_view(mask: NDArray[np.uint8]) -> int:
     return count
 
 
-def people_frames(recording: Recording, options: TrackOptions, progress: StageProgress | None = None) -> FrameStream:
+def people_frames(recording: Recording, options: TrackOptions, progress: StageProgress = unreported) -> FrameStream:
     """Open the frames of a recording with all people in the masks, where masks are wanted.
 
     Raises: InputError for key points together with depth cameras.
@@ -210,11 +205,12 @@ def people_frames(recording: Recording, options: TrackOptions, progress: StagePr
             f"Several people before depth cameras ({', '.join(depth)}) are distinguished by what these measure, "
             f"not by key points; leave out --evidence {options.looks_at}, or --people."
         )
-    silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
-    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True), progress=progress)
+    masks = options.looks_at != "keypoints"
+    settings = FrameSettings(silhouettes=recording.silhouettes, masks=masks, people=True, colours=True)
+    return FrameStream(recording, settings, progress=progress)
 
 
-def frames_to_examine(recording: Recording, progress: StageProgress | None = None) -> tuple[FrameStream, bool]:
+def frames_to_examine(recording: Recording, progress: StageProgress = unreported) -> tuple[FrameStream, bool]:
     """Open the frames of a recording whose calibration is in doubt.
 
     Where several people stand side by side, the masks keep all of them. Why: which person a view shows is not known
@@ -224,7 +220,7 @@ def frames_to_examine(recording: Recording, progress: StageProgress | None = Non
     one = FrameStream(recording, progress=progress)
     depth = bool(recording.depth_views)
     alone = depth and len(recording.views) == 1
-    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
+    if Silhouettes not in one.kinds or one.tells_apart or alone:
         return one, False
     whole = replace(one.options, people=True)
     all_people = FrameStream(recording, whole, one.backgrounds or None)
@@ -276,13 +272,13 @@ def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream |
     the only evidence.
     """
     settings, views = source.options, source.recording.views
-    masks = settings.silhouettes is not None and options.looks_at != "keypoints" and not options.of_picture
+    masks = Silhouettes in source.kinds and options.looks_at != "keypoints" and not options.of_picture
     if not masks or len(source.rig) < 2 or source.tells_apart:
         return None
     if source.recording.depth_views:
         # one depth camera keeps the largest person; several depth cameras, and pictures, may show other people;
         # masks made by other programs may be of one person
-        if any(view.masks is not None for view in views) or options.looks_at != "silhouettes":
+        if any("masks" in view.files for view in views) or options.looks_at != "silhouettes":
             return None
     elif len(views) < 3:
         return None

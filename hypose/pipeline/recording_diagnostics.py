@@ -36,24 +36,19 @@ from hypose.evidence.keypoint_check import undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameStream, load_keypoints
+from hypose.io.recordings.frames import FrameStream, load_keypoints, unreported
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.run import track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import with_outlines
+from hypose.pipeline.subject import SubjectOptions, find_subject, with_outlines
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 _Progress = Callable[[str, int, int], None]
 _METHODS = ("keypoints", "silhouettes")
-
-
-def _ignore(stage: str, done: int, total: int) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -100,17 +95,16 @@ def window(recording: Recording, most: int) -> Recording:
     return replace(recording, frame_range=(first, first + most))
 
 
-def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
+def observe_recording(recording: Recording, most: int = 100, progress: _Progress = unreported) -> Observed:
     """Collect the evidence for a check of the calibration from at most `most` consecutive frames: key points as
     stored, and masks that are made without using the key points.
     """
     few = window(recording, most)
     person = raw_person(few)
-    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     silhouettes = list[Silhouettes | None]()
     depths: list[Depth] = []
     together = False
-    blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
+    blind = replace(few, views=tuple(v.without("keypoints") for v in few.views), keypoint_set=None)
     if all(v.has_pictures for v in few.views):
         stream, together = frames_to_examine(blind, progress)
         with stream:
@@ -120,17 +114,23 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
                 silhouettes.append(frame.silhouettes)
                 depths += frame.of(Depth)
             progress("masks", len(stream), len(stream))
-        if person is not None and (together or person.one.several):
+        if person.keypoints and (together or person.one.several):
             silhouettes = [
                 None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=False)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
-    notes = () if person is None else (*person.one.notes, *person.held)
-    if together and person is None:
+    notes = *person.one.notes, *person.held
+    if together and not person.keypoints:
         notes = ("several people stand in the masks, and are looked at together",)
     about = recording.frame_rate, recording.subject_height, notes
     return Observed(
-        few.rig, points, names, silhouettes, clips, *about, depths[:: max(1, len(depths) // SETTINGS.examine_looks)]
+        few.rig,
+        person.raw,
+        person.names,
+        silhouettes,
+        clips,
+        *about,
+        depths[:: max(1, len(depths) // SETTINGS.examine_looks)],
     )
 
 
@@ -161,10 +161,8 @@ def _clip(view: ViewSettings) -> ViewFile:
         return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
 
 
-def raw_person(recording: Recording) -> RecordedPerson | None:
-    """Load the person's key points of a recording whose calibration is in doubt, in full-size pictures; None without
-    key points.
-    """
+def raw_person(recording: Recording) -> RecordedPerson:
+    """Load the person's key points of a recording whose calibration is in doubt, in full-size pictures."""
     return load_person(recording, recording.rig.pinhole(), keep_misfits=True)
 
 
@@ -189,7 +187,7 @@ def refine_recording(
     fixed: tuple[str, ...] = (),
     height: float | None = None,
     most: int = 150,
-    progress: _Progress = _ignore,
+    progress: _Progress = unreported,
 ) -> Refinement:
     """Refine the poses of a recording's cameras (with `focal` the focal lengths) from the moving person.
 
@@ -211,11 +209,9 @@ def refine_recording(
     few = window(recording, most)
     late = np.zeros(len(few.rig)) if late is None else late
     person = raw_person(few)
-    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
-    if points is None and method != "silhouettes":
+    if not person.keypoints and method != "silhouettes":
         raise InputError(f"The recording {few.name} has no key points; refine from silhouettes.")
-    if points is not None:
-        points = np.stack([points_at(p, x) for p, x in zip(points, late, strict=True)])
+    points = np.stack([points_at(p, x) for p, x in zip(person.raw, late, strict=True)])
     n = len(few.frames)
     used = np.unique(np.linspace(0, n - 1, min(SETTINGS.examine_used, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
     if len(used) < 3:
@@ -226,14 +222,13 @@ def refine_recording(
     free = np.array([c.name not in fixed for c in few.rig])
     notes: list[str] = []
     if method == "keypoints":
-        assert points is not None
         refined, there = _by_points(few.rig, points, used, focal, free)
         before_silhouettes: list[Silhouettes | None] = []
     else:
         refined, there, before_silhouettes, notes = _by_body(
-            few, late, points is not None, used, rest, focal, free, progress
+            few, late, load_keypoints(few), used, rest, focal, free, progress
         )
-    factor = _scale(few.rig, refined, points, used, names, height, notes)
+    factor = _scale(few.rig, refined, points, used, person.names, height, notes)
     refined = scale_rig(refined, factor)
     old_from_new = gauge(refined, few.rig, there * factor)
     refined = transform_rig(refined, old_from_new)
@@ -252,18 +247,18 @@ def refine_recording(
 
 
 def _residuals(
-    old: CameraRig, new: CameraRig, points: Array | None, rest: NDArray[np.int64]
+    old: CameraRig, new: CameraRig, points: Array, rest: NDArray[np.int64]
 ) -> tuple[float, float, float, float]:
     """Compute the median residual with the old and the new cameras, px, on the key points of frames that were not used.
 
-    points: (C, T, K, 3) distorted px, and confidence; None without key points.
+    points: (C, T, K, 3) distorted px, and confidence; T is 0 without key points.
     rest: numbers of these frames.
     Returns: before and after, from the triangulation of all views; before and after, from that of the other views; NaN
         where there are none.
     """
     out = [np.nan] * 4
     for k, (measure, rig) in enumerate((m, r) for m in (point_residual, left_out_residual) for r in (old, new)):
-        if points is not None:
+        if points.size:
             uv, confidence = undistorted(rig, points[:, rest])
             found = measure(rig.pinhole(), uv.reshape(len(rig), -1, 2), confidence.reshape(len(rig), -1))
             out[k] = float(np.nanmedian(found)) if np.isfinite(found).any() else np.nan
@@ -294,7 +289,7 @@ def _poses_into(full: CameraRig, refined: CameraRig) -> CameraRig:
 def _by_body(
     recording: Recording,
     late: Array,
-    start_from_points: bool,
+    keypoints: Sequence[Keypoints],
     used: NDArray[np.int64],
     rest: NDArray[np.int64],
     focal: bool,
@@ -302,7 +297,7 @@ def _by_body(
     progress: _Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
     # masks that do not depend on the key points
-    blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
+    blind = replace(recording, views=tuple(v.without("keypoints") for v in recording.views), keypoint_set=None)
     with FrameStream(blind, progress=progress) as stream:
         source = Resampled(stream, late)
         frames: list[Frame] = []
@@ -311,8 +306,7 @@ def _by_body(
             frames.append(source.frame(int(k)))
         progress("masks", len(used), len(used))
         judged = [source.frame(int(k)).silhouettes for k in rest[:: max(1, len(rest) // 16)]]
-        keypoints = load_keypoints(recording) if start_from_points else None
-        if keypoints is not None:
+        if keypoints:
             shown = np.stack([k.points for k in keypoints], 1)
             shown = np.stack([points_at(p, float(x)) for p, x in zip(shown, late, strict=True)], 1)
             body, poses, notes = _start_from_points(frames, [replace(keypoints[k], points=shown[k]) for k in used])
@@ -357,14 +351,14 @@ def _start_from_masks(
 def _scale(
     old: CameraRig,
     new: CameraRig,
-    points: Array | None,
+    points: Array,
     used: NDArray[np.int64],
     names: tuple[str, ...],
     height: float | None,
     notes: list[str],
 ) -> float:
     """Compute the scale factor that keeps the length of the person's limbs, or makes the person as tall as given."""
-    if points is None:
+    if not points.size:
         return 1.0  # the size of the body has fixed the scale
     sizes = []
     for rig in (old, new):

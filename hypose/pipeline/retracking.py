@@ -27,17 +27,15 @@ from hypose.body.body import Body
 from hypose.compute.threads import in_background
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import look_ahead
-from hypose.geometry import Array
+from hypose.geometry import Array, runs
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.frame_anomalies import in_words, looked_again
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.contacts import runs
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
-from hypose.tracking.pose_covariance import uncertainty_of_pose
-from hypose.tracking.refinement import RIVAL, mismatch
+from hypose.tracking.refinement import RIVAL, mismatch, uncertainty_of_pose
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
@@ -399,7 +397,7 @@ def _looked_back(
     with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
         for t, (frame, last) in zip(most, with_last(coming), strict=False):
             prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-            if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
+            if not prepared.silhouettes.seen or frame.kind == "depth" or not _known(old[t]):
                 break
             state, back = tracker.step(state, frame)
             if not _known(back):

@@ -17,12 +17,12 @@ from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
 from hypose.errors import HyposeError, InputError, extra
 from hypose.evidence.cues import OwnEvidence
-from hypose.geometry import Array
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array, runs
 from hypose.inference.layer import Recipe
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
-from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
-from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess, later, trace_of, with_trace
 from hypose.pipeline.moved_sensors import Places
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
@@ -33,19 +33,17 @@ from hypose.pipeline.passes import (
     run_pass,
 )
 from hypose.pipeline.people import PeopleFinder
-from hypose.pipeline.person_paths import (
+from hypose.pipeline.subject import TrackedSubject
+from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, tracker_of
+from hypose.pipeline.track_management import (
     KeypointPeople,
     KnownPerson,
-    PointFrames,
     names_at_places,
-    padded,
     per_frame,
     said_of_places,
+    untracked_note,
 )
-from hypose.pipeline.track_loop import FrameSource, StageProgress, TrackedPerson, tracker_of
-from hypose.pipeline.track_management import untracked_note
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.contacts import runs
 
 
 @dataclass(frozen=True)
@@ -373,3 +371,35 @@ def finish(clip: ClipState) -> TrackResult:
             raise
         clip = keep_interrupted(clip)
     return TrackResult.of(clip)
+
+
+class PointFrames:
+    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
+
+    track: number of the track in `points`.
+    """
+
+    def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
+        self._source, self._points, self._track = source, points, track
+        self.first = points.tracks[track].first
+        self._count = len(points.tracks[track])
+
+    def __len__(self) -> int:
+        return self._count
+
+    def frame(self, index: int, /) -> Frame:
+        """Return frame number index, counted from the first frame of the track."""
+        t = self.first + index
+        return replace(self._source.frame(t), silhouettes=None, keypoints=self._points.of(self._track, t))
+
+
+def padded(motion: Motion, first: int, total: int) -> Motion:
+    """Extend a motion of the frames first, first + 1, ... to `total` frames: outside, its first and last frame are
+    repeated and marked as lost and extrapolated.
+    """
+    rows = np.clip(np.arange(total) - first, 0, len(motion) - 1)
+    outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))
+    arrays = per_frame(motion, rows) | {"times": np.arange(total) / motion.frame_rate}
+    out = replace(motion, **arrays)
+    out = replace(out, lost=out.lost | outside, extrapolated=out.extrapolated | outside)
+    return with_trace(out, later(trace_of(motion), first))

@@ -24,7 +24,7 @@ from hypose.evidence.frame import TRACKED, Frame, SensorJoints
 from hypose.evidence.terms import PointTerm
 from hypose.fitting import fit_clip
 from hypose.fusion import joints as jt
-from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.align import offset_by_movement
 from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array

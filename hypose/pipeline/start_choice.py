@@ -23,9 +23,18 @@ from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weigh_starts
-from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import (
+    KNOWN_POSES,
+    Start,
+    Starts,
+    by_their_ways,
+    hull_of,
+    recover,
+    scaled_to_height,
+    start_in_pose,
+    starts_in_frame,
+    weigh_starts,
+)
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
 # ---- subject checks ------------------------------------------------------------------------------------------------
@@ -42,7 +51,7 @@ def no_two_views(frame: Frame) -> str:
     """
     why = [r for masks in frame.of(Silhouettes) for r in masks.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
-    if frame.depth is not None:
+    if frame.kind == "depth":
         return (
             f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where a person stands "
             "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."

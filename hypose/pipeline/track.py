@@ -15,18 +15,17 @@ from hypose.calibration.findings import INFO, Finding
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
-from hypose.evidence.keypoints import keypoint_names
 from hypose.inference.layer import Recipe
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.input_checks import places_refuted
-from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people, track_source
-from hypose.pipeline.subject_from_motion import load_subject
+from hypose.pipeline.subject import load_subject
 from hypose.pipeline.track_loop import FrameList, FrameSource, StageProgress
+from hypose.pipeline.track_management import KeypointPeople, KnownPerson, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 
 
@@ -199,9 +198,9 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     none.
     """
     found = load_person(recording, small)
-    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+    if not found.one.by_rays:
         return None
-    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+    return KeypointPeople(found.one.people, found.names, small)
 
 
 def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:

@@ -20,9 +20,8 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
-from hypose.synthetic.corruptions import box_mesh, joined_meshes, smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
-from hypose.synthetic.scenes import look_at
+from hypose.synthetic.scenes import box_mesh, joined_meshes, look_at, smooth_noise
 from hypose.synthetic.subjects import SyntheticSubject
 
 KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
@@ -227,7 +226,11 @@ def sensed(
     if faults.multipath > 0:
         round_about = cv2.boxFilter(np.clip(z, near.min(), faults.far_m), -1, (21, 21))
         out = out + np.float32(faults.multipath) * np.clip(round_about - z, -0.1, 0.4)
-    cosine = _cosines(z, camera)
+    # the cosine between ray and normal, from the smaller of the two one-sided differences of depth
+    ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
+    ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
+    slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
+    cosine = (1 / np.sqrt(1 + slope**2)).astype(np.float32)
     sd = (faults.constant_m + faults.square * z * z) / np.maximum(cosine, 0.15)
     wild = np.ones((h, w), np.float32)
     gone = rng.random((h, w), dtype=np.float32) < faults.holes
@@ -246,19 +249,6 @@ def sensed(
     gone |= mixed & (rng.random((h, w), dtype=np.float32) < 0.5)
     gone |= (out < faults.near_m) | (out > faults.far_m)
     return np.where(gone, 0, np.rint(1000 * out) / 1000).astype(np.float32)
-
-
-def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
-    """Compute the cosine between ray and normal, from the smaller of the two one-sided differences of depth.
-
-    z: (h, w) m.
-    camera: its focal lengths count.
-    Returns: (h, w), 0 to 1.
-    """
-    ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
-    ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
-    slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
-    return (1 / np.sqrt(1 + slope**2)).astype(np.float32)
 
 
 def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMap:

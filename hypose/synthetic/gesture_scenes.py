@@ -17,9 +17,18 @@ from hypose.compute.forests import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array, se3, transform
 from hypose.gestures.depth_pictures import KINECT
-from hypose.synthetic.corruptions import box_mesh, joined_meshes
-from hypose.synthetic.gesture_people import GesturePerson, Puppet, load_people, rotation_about
-from hypose.synthetic.gesture_poses import GESTURES, Keyframe, annotated, apply, gesture, movement
+from hypose.synthetic.gesture_people import (
+    GESTURES,
+    GesturePerson,
+    Puppet,
+    annotated,
+    apply,
+    gesture,
+    load_people,
+    movement,
+    rotation_about,
+)
+from hypose.synthetic.scenes import box_mesh, joined_meshes
 
 PICTURE_SIZE = (640, 480)
 _PINHOLE = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
@@ -149,14 +158,13 @@ class Setting:
 # A session with a screen shows it where there is no camera. Neighbouring frames are similar, as those of a real person.
 
 
+# Share of movements that are another gesture while the gesture is not asked for.
 _OTHERS = 0.3
-"""Share of movements that are another gesture while the gesture is not asked for."""
+# m; a surface nearer than the annotated point by more hides it.
 _HIDDEN = 0.06
-"""m; a surface nearer than the annotated point by more hides it."""
+# s, least and largest duration of the movement into the gesture, between two variations of it, and of any other
+# movement.
 _REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
-"""s, least and largest duration of the movement into the gesture, between two variations of it, and of any other
-movement.
-"""
 
 
 @dataclass(frozen=True)
@@ -213,36 +221,20 @@ def _frames(
     share, seconds = 1.0, 1.0
     while True:
         if asked != shows or share >= 1:
-            start = start.towards(goal, _eased(share))
+            start = start.towards(goal, share * share * (3 - 2 * share))
             leaving = shows and not asked
             arrived = shows and asked and share >= 1
-            goal = _goal(puppet, name if asked else None, others, leading, rng)
+            if asked or rng.random() < _OTHERS:
+                goal = gesture(puppet, name if asked else str(rng.choice(others)), rng, leading)[0]
+            else:
+                goal = movement(puppet, rng)
             seconds = float(rng.uniform(*(_MOVE if not asked else _VARY if arrived else _REACH)))
             share, shows = 0.0, asked
         share = min(1.0, share + 1 / (rate * seconds))
-        apply(puppet, start.towards(goal, _eased(share)))
+        apply(puppet, start.towards(goal, share * share * (3 - 2 * share)))  # it starts and ends slowly
         doing = shows and (arrived or share >= 1)
         frame = _seen(puppet, setting, name if doing else None, leading, rng)
         asked = bool((yield frame if doing or not (shows or leaving) else replace(frame, clear=False)))
-
-
-def _eased(share: float) -> float:
-    """Map a share of a movement's time (0..1) to a share of its way that starts and ends slowly."""
-    return share * share * (3 - 2 * share)
-
-
-def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng: np.random.Generator) -> Keyframe:
-    """Draw the next pose of the simulated person.
-
-    puppet: the person, who is posed in it.
-    name: name of the gesture that is asked for; None: movement, or one of the other gestures.
-    others: names of the other gestures.
-    leading: side of the leading hand.
-    rng: random numbers.
-    """
-    if name is None and rng.random() >= _OTHERS:
-        return movement(puppet, rng)
-    return gesture(puppet, name or str(rng.choice(others)), rng, leading)[0]
 
 
 def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng: np.random.Generator) -> SimulatedFrame:

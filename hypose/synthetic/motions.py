@@ -36,8 +36,8 @@ _GUARD = {
 }
 
 
+# An instant, s, and the channels of a key pose.
 _Key = tuple[float, dict[str, float]]
-"""An instant, s, and the channels of a key pose."""
 
 
 def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
@@ -113,8 +113,8 @@ def _course(
     begin: float,
     stance: Stance,
     smooth: float = 0.05,
-) -> Callable[..., Performance]:
-    """Make the function of a motion that repeats a course of key poses; its arguments are those of `act`.
+) -> Callable[[Array, Take, float, float], Angles]:
+    """Make the function of a motion that repeats a course of key poses: of times (T,) s, a `Take`, amplitude and speed.
 
     name: name of the motion.
     rest: channels of the pose at rest.
@@ -126,22 +126,14 @@ def _course(
     stance, smooth: as in `_keyed`.
     """
 
-    def motion(
-        subject: SyntheticSubject,
-        duration: float,
-        frame_rate: float,
-        rng: np.random.Generator | None = None,
-        amplitude: float = 1.0,
-        speed: float = 1.0,
-    ) -> Performance:
-        take, t = Take(rng), sample_times(duration, frame_rate)
+    def motion(t: Array, take: Take, amplitude: float, speed: float) -> Angles:
         scaled = [_pose(rest), *(_scaled(_pose(_RELAXED, x), _pose(rest), amplitude) for x in poses)]
         keys, now = [(0.0, scaled[0])], begin
         while now < t[-1] + 1:
             step = take.factor(share) / speed
             keys += [(now + at * step, scaled[k]) for at, k in course]
             now += whole * step
-        return perform(_keyed(name, t, keys, take, stance, smooth), subject)
+        return _keyed(name, t, keys, take, stance, smooth)
 
     return motion
 
@@ -163,24 +155,8 @@ def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
     }
 
 
-def box(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
-    feet.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    """
-    take, t = Take(rng), sample_times(duration, frame_rate)
+def _box(t: Array, take: Take, amplitude: float, speed: float) -> Angles:
+    """Simulate shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing in place."""
     guard = _pose(_GUARD)
     keys, now, side = [(0.0, guard)], 0.35, "left"
     while now < t[-1] + 1:
@@ -194,30 +170,15 @@ def box(
         keys += [(now, guard), (now + rise, blow), (now + 2.2 * rise, back)]
         now += 2.2 * rise + (0.35 + abs(take.offset(0.2))) / speed
         side = "right" if side == "left" else "left"
-        if rng is not None and rng.random() < 0.25:
+        if take.rng is not None and take.rng.random() < 0.25:
             side = "right" if side == "left" else "left"
     angles = _keyed("box", t, keys, take, Stance(0.24, -0.24, 0.15, 14.0))
     bob = 0.012 * amplitude * (np.sin(2 * np.pi * 1.6 * speed * t) - 1)
-    return perform(Angles("box", t, angles.values | {"up": angles.get("up") + bob}, angles.stance), subject)
+    return Angles("box", t, angles.values | {"up": angles.get("up") + bob}, angles.stance)
 
 
-def punch(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    """
-    take, t = Take(rng), sample_times(duration, frame_rate)
+def _punch(t: Array, take: Take, amplitude: float, speed: float) -> Angles:
+    """Simulate strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
     rest = _pose(_RELAXED, {"up": -0.02})
     wind = {
         "right_shoulder_flexion": -22,
@@ -240,26 +201,11 @@ def punch(
         blow = _scaled(_pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude)
         keys += [(now, rest), (now + 0.45 * step, back), (now + 0.68 * step, blow), (now + 1.15 * step, rest)]
         now += (1.3 + abs(take.offset(0.25))) / speed
-    return perform(_keyed("punch", t, keys, take, Stance(0.20, -0.16, 0.16, 12.0)), subject)
+    return _keyed("punch", t, keys, take, Stance(0.20, -0.16, 0.16, 12.0))
 
 
-def wave(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    """
-    take, t = Take(rng), sample_times(duration, frame_rate)
+def _wave(t: Array, take: Take, amplitude: float, speed: float) -> Angles:
+    """Simulate waving: raise the right arm, wave the forearm from side to side, lower it; again after a pause."""
     rest = _pose(_RELAXED)
     up = {
         "right_shoulder_flexion": 30,
@@ -283,10 +229,10 @@ def wave(
             now += 0.3 / speed * take.factor(0.06)
         keys.append((now + 0.4 / speed, rest))
         now += 0.9 / speed
-    return perform(_keyed("wave", t, keys, take, Stance()), subject)
+    return _keyed("wave", t, keys, take, Stance())
 
 
-cross_arms = _course(
+_cross_arms = _course(
     "cross_arms",
     _RELAXED,
     [
@@ -341,7 +287,7 @@ _sit = _course(
     0.1,
 )
 
-serve = _course(
+_serve = _course(
     "serve",
     {
         **_RELAXED,
@@ -429,74 +375,6 @@ serve = _course(
 """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through; each 3.2 s."""
 
 
-def sit_down(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate sitting down on an invisible chair 45 cm high, and standing up again; the trunk leads the movement.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    """
-    return centred(_sit(subject, duration, frame_rate, rng, amplitude, speed))
-
-
-def combo(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Simulate walk, jog, box and wave one after the other (HumanEva's combo also starts with walking and jogging).
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    """
-    parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
-    blend, n = 0.5, round(duration * frame_rate)
-    extra = blend * (len(parts) - 1) / len(parts)
-    shows = [f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts]
-    whole = chain("combo", shows, subject, blend)
-    n = min(n, len(whole))
-    return centred(Performance("combo", whole.times[:n], whole.rotations[:n], whole.root[:n], whole.joints[:n]))
-
-
-def act(
-    name: str,
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-) -> Performance:
-    """Make a built-in motion by name.
-
-    name: one of MOTIONS.
-    subject: the person.
-    duration, frame_rate: s and Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    Returns: the performance, about the origin.
-    Raises: InputError with the list of motions for an unknown name.
-    """
-    if name not in MOTIONS:
-        raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
-    return MOTIONS[name](subject, duration, frame_rate, rng, amplitude, speed)
-
-
 # ---- gait ------------------------------------------------------------------------------------------------------------
 # Walking and running: joint-angle curves of published gait data, with the variation of real strides.
 
@@ -573,22 +451,20 @@ def _periodic(points: Sequence[tuple[float, float]], phase: Array) -> Array:
 def _gait(
     name: str,
     t: Array,
-    rng: np.random.Generator | None,
+    take: Take,
     amplitude: float,
     speed: float,
     radius: float,
-    jog: bool,
 ) -> Angles:
-    """Make the angles of walking or running.
+    """Make the angles of walking at about 1.2 m/s, or of slow running with short flights.
 
-    name: name of the motion.
+    name: "walk" or "jog".
     t: (T,) s.
-    rng: for the variation between strides; None: none.
+    take: the variation between strides.
     amplitude, speed: factors of size and speed.
     radius: radius of the circle on which the person travels, m.
-    jog: running instead of walking.
     """
-    take = Take(rng)
+    jog = name == "jog"
     curves = _JOG if jog else _WALK
     rate = (1.35 if jog else 0.9) * speed * take.factor(0.05)
     phase = rate * t + take.offset(0.2) + take.drift(t, 0.008)
@@ -629,66 +505,57 @@ def _gait(
     return Angles(name, t, values, None, radius)
 
 
-def walk(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-    radius: float = 0.8,
-) -> Performance:
-    """Simulate walking at about 1.2 m/s.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    radius: radius of the circle on which the person goes round to the left, m (infinite: straight on).
-    Returns: the performance, about the origin.
-    """
-    return _around(
-        perform(_gait("walk", sample_times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
-    )
-
-
-def jog(
-    subject: SyntheticSubject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-    radius: float = 0.9,
-) -> Performance:
-    """Simulate slow running with short flights.
-
-    subject: the person.
-    duration, frame_rate: length, s, and frames per second, Hz.
-    rng: for random variation of size, speed, posture and timing; None: none.
-    amplitude, speed: factors of the size and speed of the movement.
-    radius: radius of the circle on which the person goes round to the left, m (infinite: straight on).
-    Returns: the performance, about the origin.
-    """
-    return _around(
-        perform(_gait("jog", sample_times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)
-    )
-
-
-def _around(p: Performance) -> Performance:
-    """Centre a motion that covers less than half a circle; a circle stays about its centre."""
-    spread = np.ptp(p.root[:, :2], axis=0)
-    return p if spread.min() > 0.6 * spread.max() else centred(p)
-
-
-MOTIONS: dict[str, Callable[..., Performance]] = {
-    "walk": walk,
-    "jog": jog,
-    "box": box,
-    "wave": wave,
-    "cross_arms": cross_arms,
-    "punch": punch,
-    "sit_down": sit_down,
-    "serve": serve,
-    "combo": combo,
+# radius of the circle on which the person goes round to the left, m
+_RADII = {"walk": 0.8, "jog": 0.9}
+_KEYED = {
+    "box": _box,
+    "wave": _wave,
+    "cross_arms": _cross_arms,
+    "punch": _punch,
+    "sit_down": _sit,
+    "serve": _serve,
 }
+_COMBO = {"walk": 0.34, "jog": 0.24, "box": 0.22, "wave": 0.20}
+MOTIONS = (*_RADII, *_KEYED, "combo")
+"""Names of the built-in motions."""
+
+
+def act(
+    name: str,
+    subject: SyntheticSubject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+    radius: float | None = None,
+) -> Performance:
+    """Make a built-in motion by name.
+
+    name: one of MOTIONS; "combo" is walk, jog, box and wave one after the other (as HumanEva's begins).
+    subject: the person.
+    duration, frame_rate: length, s, and frames per second, Hz.
+    rng: for random variation of size, speed, posture and timing; None: none.
+    amplitude, speed: factors of the size and speed of the movement.
+    radius: radius of the circle on which a person walks or jogs, m (infinite: straight on; None: the usual one).
+    Returns: the performance, about the origin.
+    Raises: InputError for an unknown name, or a duration or frame rate that is not positive.
+    """
+    if name not in MOTIONS:
+        raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    if name in _KEYED:
+        p = perform(_KEYED[name](t, take, amplitude, speed), subject)
+        return centred(p) if name == "sit_down" else p
+    if name in _RADII:
+        p = perform(_gait(name, t, take, amplitude, speed, _RADII[name] if radius is None else radius), subject)
+        spread = np.ptp(p.root[:, :2], axis=0)  # a circle stays about its centre; less than half of one is centred
+        return p if spread.min() > 0.6 * spread.max() else centred(p)
+    blend, n = 0.5, round(duration * frame_rate)
+    extra = blend * (len(_COMBO) - 1) / len(_COMBO) + 0.1
+    shows = [
+        act(f, subject, duration * share + extra, frame_rate, rng, amplitude, speed) for f, share in _COMBO.items()
+    ]
+    whole = chain("combo", shows, subject, blend)
+    n = min(n, len(whole))
+    return centred(Performance("combo", whole.times[:n], whole.rotations[:n], whole.root[:n], whole.joints[:n]))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
@@ -271,11 +271,19 @@ def render_person(
     if outfit.gloss > 0:
         color = color + _highlight(camera, vertices, n, outfit.gloss)[:, None]
     values = np.column_stack([color, n @ LIGHT, n[:, 2]])
-    blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, _LIT)
+    part, drawn = picture[y0:y1, x0:x1], face >= 0
+    ambient, direct, sky = (np.float32(x) for x in _LIT)
+    at = interpolate(face[drawn], bary[drawn], subject.faces, values)
+    lit = ambient + direct * np.maximum(at[:, 3:4], 0) + sky * at[:, 4:]
+    colour = np.zeros((*face.shape, 3), np.float32)
+    colour[drawn] = lit * at[:, :3]
+    blocks = y1 - y0, s, x1 - x0, s
+    part *= 1 - drawn.reshape(blocks).mean((1, 3), dtype=np.float32)[..., None]
+    part += colour.reshape(*blocks, 3).mean((1, 3))
 
 
+# Shares of the light: ambient, from the main light, from above.
 _LIT = (0.42, 0.62, 0.10)
-"""Shares of the light: ambient, from the main light, from above."""
 _SHARPNESS = 24
 
 
@@ -359,37 +367,3 @@ def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> ND
     """
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)
-
-
-# ---- shading ----
-# Shaded pictures of known scenes.
-
-
-def blend_shaded(
-    picture: NDArray[np.float32],
-    face: NDArray[np.int32],
-    bary: NDArray[np.float32],
-    faces: NDArray[np.int32],
-    values: ArrayLike,
-    samples: int,
-    light: tuple[float, float, float],
-) -> None:
-    """Blend a drawn mesh into a picture (h, w, 3), in place.
-
-    face, bary: result of `rasterize` at samples x samples per pixel.
-    faces: (F, 3) faces of the mesh.
-    values: (V, 5) per vertex: BGR colour, cosine to the light, and upward component of the normal.
-    samples: samples per pixel and axis.
-    light: (ambient, direct, sky).
-
-    A pixel gets the mean of its samples, Lambert-shaded; where there are none, the picture shows through.
-    """
-    (h, w), drawn = picture.shape[:2], face >= 0
-    ambient, direct, sky = (np.float32(x) for x in light)
-    at = interpolate(face[drawn], bary[drawn], faces, values)
-    lit = ambient + direct * np.maximum(at[:, 3:4], 0) + sky * at[:, 4:]
-    colour = np.zeros((*face.shape, 3), np.float32)
-    colour[drawn] = lit * at[:, :3]
-    blocks = h, samples, w, samples
-    picture *= 1 - drawn.reshape(blocks).mean((1, 3), dtype=np.float32)[..., None]
-    picture += colour.reshape(*blocks, 3).mean((1, 3))

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hypose.body.body import Mesh
-from hypose.body.default_body import JOINT_NAMES, PARENTS
+from hypose.body.default_body import JOINT_NAMES, PARENTS, asset_arrays
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array
@@ -83,9 +82,7 @@ def load_subjects() -> dict[str, SyntheticSubject]:
 
     Returns: dictionary of the people by name.
     """
-    file = resources.files("hypose.assets").joinpath("subjects.npz")
-    with file.open("rb") as stream:
-        data = dict(np.load(stream, allow_pickle=False))
+    data = asset_arrays("subjects.npz")
     vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # stored as differences
     out = {}
     for k, name in enumerate(data["names"].tolist()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -31,8 +31,8 @@ from hypose.synthetic.render_rgb import LIGHT
 from hypose.synthetic.scenes import Scene, keypoint_detections
 from hypose.synthetic.subjects import dress, load_subjects
 
+# Function that is called with the numbers of steps done and in total.
 _Progress = Callable[[int, int], None]
-"""Function that is called with the numbers of steps done and in total."""
 
 
 def check_folder(folder: Path) -> None:
@@ -97,15 +97,15 @@ def write_scene(
             (video, scene.rgb_frames(c)),
         ):
             _write_video(path, scene.frame_rate, size, pictures, step)
-        pose = None
+        files = {"video": video, "background": background}
         if keypoints:
-            pose = folder / "pose" / f"{name}_json"
+            files["keypoints"] = pose = folder / "pose" / f"{name}_json"
             pose.mkdir(parents=True, exist_ok=True)
             points = keypoint_detections(scene, c)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
                 write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
-        views.append(ViewSettings(camera.name, video=video, background=background, keypoints=pose))
+        views.append(ViewSettings(camera.name, files))
     recording = Recording(
         folder,
         scene.name,
@@ -189,7 +189,7 @@ def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress
             for t in range(count):
                 write_depth_png(target / f"{t:06d}.png", make(c, t))
                 step()
-        views.append(ViewSettings(camera.name, depth=depth, background=empty))
+        views.append(ViewSettings(camera.name, {"depth": depth, "background": empty}))
     recording = Recording(
         folder, scene.name, scene.rig, tuple(views), scene.frame_rate, None, keypoint_set=None, n_frames=len(scene)
     )
@@ -278,11 +278,10 @@ BOARD = Board("chessboard", 9, 6, 0.08)
 """The board that is filmed: corners, and size of a square in m."""
 _EMPTY_S = 2.0
 _STATIONS, _LYING = 28, 25
+# Constants of the carried board. _STATIONS: number of places to which it is carried. _LYING: number of frames on the
+# floor. _HELD: least and largest number of frames in a place. _MOVED: least and largest number of frames between two
+# places.
 _HELD, _MOVED = (5, 10), (4, 10)
-"""Constants of the carried board. _STATIONS: number of places to which it is carried. _LYING: number of frames on the
-floor. _HELD: least and largest number of frames in a place. _MOVED: least and largest number of frames between two
-places.
-"""
 
 
 def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lambda done, total: None) -> Path:
@@ -301,8 +300,13 @@ def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lam
     empty = round(_EMPTY_S * scene.frame_rate)
     step = _counter(progress, len(scene.rig) * (len(poses) + empty + len(scene)))
     for c, camera in enumerate(scene.rig):
+        painter = BoardPainter(camera, BOARD)
+        boards = (
+            scene.room_frame(c, n / scene.frame_rate - 60.0, -1000 - n, partial(painter, world_from_board=pose))
+            for n, pose in enumerate(poses)
+        )
         for name, pictures in (
-            ("board", _boards(scene, c, poses)),
+            ("board", boards),
             ("empty", scene.background_frames(c, empty)),
             ("walk", scene.rgb_frames(c)),
         ):
@@ -310,19 +314,6 @@ def write_session(scene: Scene, folder: str | Path, *, progress: _Progress = lam
             path = folder / name / f"{file_name(camera.name)}.mp4"
             _write_video(path, scene.frame_rate, _even(camera).size, pictures, step)
     return folder
-
-
-def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
-    """Yield the pictures of one camera while the board is carried around.
-
-    scene: gives room and camera.
-    view: index of the camera.
-    poses: (F, 4, 4) world_from_board.
-    """
-    painter = BoardPainter(scene.rig[view], BOARD)
-    for n, pose in enumerate(poses):
-        paint = partial(painter, world_from_board=pose)
-        yield scene.room_frame(view, n / scene.frame_rate - 60.0, -1000 - n, paint)
 
 
 def carried_board(board: Board, rng: np.random.Generator) -> Array:

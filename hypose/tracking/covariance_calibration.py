@@ -30,8 +30,8 @@ from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 from hypose.tracking.joint_features import columns_of_joints, views_apart
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 LASTING_S = 0.5
 """s from which two residuals of one point in one view share only their lasting component: errors of detections are

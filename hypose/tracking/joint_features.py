@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.compute import reach
 from hypose.compute.arrays import PreparedMasks
-from hypose.compute.mask_runs import mask_of
 from hypose.compute.parts import draw_parts, parts_against_mask, projected
 from hypose.evidence.cues import SilhouetteEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
@@ -27,7 +26,7 @@ from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
+from hypose.tracking.frame_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 _SCALE_M = 0.025
 """m: scale of Tukey's weight on the distance of outlines; zero at three times that, because it is another object."""
@@ -225,14 +224,14 @@ def _masks(
         uv[:, 1] -= y0
         uv /= step
         drawn = draw_parts(uv, z, body.coarse.faces, part_of_face, len(_PARTS), shape)
-        hidden, box = masks.hidden[c] if len(masks.hidden) else None, (x0, x1, y0, y1)
+        small = c, slice(y0, y1, step), slice(x0, x1, step)
+        ignored = None if silhouettes.ignored is None else np.ascontiguousarray(silhouettes.ignored[small])
         near = np.full(len(joints), _NEAR_M * size)
-        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[-len(joints) :], near, hidden)
+        mask = np.ascontiguousarray(masks.masks[small])
+        seen = parts_against_mask(mask, ignored, drawn, uv[-len(joints) :], near)
         area[k], exposed[k], outside[k], bare[k], square[k] = seen.area, seen.exposed, seen.outside, seen.bare, size**2
         if apart_too:
-            small, ignored = (c, slice(y0, y1, step), slice(x0, x1, step)), silhouettes.ignored
-            mask, ignored = silhouettes.masks[small], None if ignored is None else ignored[small]
-            shifts[k] = shift_of_mask(mask, mask_of(seen.bits, shape[1]), size, ignored)
+            shifts[k] = shift_of_mask(silhouettes.masks[small], seen.body, size, ignored)
     second = -2 if len(views) > 1 else -1
     bare, exposed, outside = bare / square, exposed / np.maximum(area, 1), outside / np.maximum(area, 1)
     out[:, 0], out[:, 1] = bare.sum(0), np.sort(bare, 0)[second]

@@ -21,10 +21,9 @@ from hypose.evidence.cues import KeypointEvidence
 from hypose.evidence.keypoints import other_sides
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp, so3_log
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.refinement import anatomical_prior, refine
-from hypose.tracking.starts import turn_pose
 
 _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 _TO_MASKS = SolveSettings(iterations=12, coarse_iterations=8)
@@ -146,3 +145,10 @@ def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
     count = len(wanted)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
     return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
+
+
+def turn_pose(pose: Array, heading: float) -> Array:
+    """Turn a pose (D,) about the vertical through its root by a heading (rad)."""
+    out = pose.copy()
+    out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
+    return out

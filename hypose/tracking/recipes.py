@@ -31,7 +31,6 @@ from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
-from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import (
     COMPOSITE,
@@ -41,9 +40,10 @@ from hypose.tracking.refinement import (
     SolvePrediction,
     settled_start,
     solved,
+    uncertainty_of_pose,
 )
 from hypose.tracking.smoothing import smooth_clip
-from hypose.tracking.starts import recover
+from hypose.tracking.start_search import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
 DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."

@@ -1,7 +1,7 @@
 """Fit the person's body to key points: segment lengths, and where the key points sit on the body.
 
 A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths, and sizes that
-no key point shows, come from outlines (`hypose.pipeline.subject_from_motion.with_outlines`).
+no key point shows, come from outlines (`hypose.pipeline.subject.with_outlines`).
 Source: Alcoverro 2014, section 2.3 (entities, grouped symmetrically); the fitting from key points is an addition.
 """
 
@@ -18,10 +18,10 @@ from hypose.evidence.keypoints import BLAZEPOSE_33, landmark_of
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
+from hypose.tracking.frame_evidence import KeypointModel, keypoint_model
 from hypose.tracking.keypoint_offsets import leg_weights, offset_limits
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.starts import start_from_keypoints
+from hypose.tracking.start_search import start_from_keypoints
 
 PAIRED = {
     "upper_arm": ("shoulder", "elbow"),
@@ -50,19 +50,6 @@ class KeypointSubject:
     keypoints: KeypointModel
     poses: Array
     residual: Array
-
-
-def scaled_to_height(body: Body, height: float) -> Body:
-    """Scale a body uniformly to a standing height, m.
-
-    Raises: EvidenceError where the height is not that of a person (0.5 to 2.5 m).
-    """
-    if not 0.5 < height < 2.5:
-        raise EvidenceError(
-            f"A subject height of {height:.2f} m is not a person's; give --height in metres or check the "
-            "calibration's unit."
-        )
-    return deform(body, Shape(scale=height / body.stature))
 
 
 def subject_from_keypoints(

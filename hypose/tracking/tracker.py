@@ -22,9 +22,8 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
-from hypose.tracking.frame_evidence import PreparedFrame, agreement, mean_overlap, prepare, view_count
-from hypose.tracking.keypoint_evidence import KeypointModel
-from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
+from hypose.tracking.frame_evidence import KeypointModel, PreparedFrame, agreement, mean_overlap, prepare, view_count
+from hypose.tracking.refinement import PoseUncertainty, nothing_known, uncertainty_of_set
 
 RECOVERED = f"{FOUND_BY}recovery"
 """Origin of an estimate that was found after a loss."""

@@ -35,10 +35,10 @@ def test_depth_maps_are_brought_in_step(hypose, tmp_path):
     assert code == 0, err
     made = load_recording(tmp_path / "step")
     for view, late in zip(made.views, (0, 2), strict=True):
-        for k, file in enumerate(sorted(view.depth.iterdir())):
+        for k, file in enumerate(sorted(view.files["depth"].iterdir())):
             seen = read_depth_png(tmp_path / "rec/depth" / view.name / f"{k + late:06d}.png") if k + late < 5 else 0.0
             assert np.array_equal(read_depth_png(file), np.broadcast_to(seen, (288, 320)))
-    assert made.n_frames == 5 and made.views[0].background is not None
+    assert made.n_frames == 5 and "background" in made.views[0].files
 
 
 def test_an_existing_calibration_is_never_overwritten(hypose, recording):

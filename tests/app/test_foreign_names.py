@@ -81,7 +81,7 @@ def test_detected_key_points_stay_in_the_folder_and_are_found_again(tiny, tmp_pa
     detector = OwnDetector(Detector(), "BODY_25", {"model": "a"}, "here")
     detect_keypoints(load_recording(recording), detector, recording / "keypoints")
     assert written() and all(p.is_relative_to(recording / "keypoints") for p in written())
-    assert all(v.keypoints is not None for v in load_recording(recording).views)
+    assert all("keypoints" in v.files for v in load_recording(recording).views)
 
 
 def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):

@@ -14,8 +14,9 @@ from benchmarks.robustness.keypoint_layouts import (
 )
 from hypose.body.default_body import human
 from hypose.errors import InputError
-from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25, parse_openpose
+from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25
 from hypose.io.keypoints.detectors import OwnDetector, open_own_detector
+from hypose.io.keypoints.keypoint_files import parse_openpose
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.frames import load_keypoints
@@ -44,7 +45,7 @@ class Detector:
 
 
 def as_blazepose(path):
-    people = parse_openpose(path.read_bytes(), BODY_25)
+    people = parse_openpose(path.read_bytes())
     out = np.zeros((len(people), 33, 3))
     for k, name in enumerate(BLAZEPOSE_33):
         if name in BODY_25:

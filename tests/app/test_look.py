@@ -53,7 +53,7 @@ def test_masks_can_be_given_back(hypose, recording):
     toml = recording / "recording.toml"
     given = re.sub(r'name = "(cam\d)"\n', r'name = "\1"\nmasks = "results/silhouettes/\1"\n', toml.read_text())
     toml.write_text(given)
-    assert all(v.masks is not None for v in load_recording(recording).views)
+    assert all("masks" in v.files for v in load_recording(recording).views)
     code, out, err = hypose("check", recording)
     assert code == 0, out + err
 

@@ -31,7 +31,7 @@ def test_a_folder_of_videos_becomes_a_recording(hypose, tiny, folder):
     shutil.copy(tiny / "calibration.toml", folder)
     made, original = load_recording(folder), load_recording(tiny)
     assert [v.name for v in made.views] == [v.name for v in original.views]
-    assert all(v.background is not None and v.background.parent.name == "background" for v in made.views)
+    assert all(v.files["background"].parent.name == "background" for v in made.views)
     before = (folder / "recording.toml").read_bytes()
     fails(hypose("init", folder), "exists and stays as it is", "hypose check")
     assert (folder / "recording.toml").read_bytes() == before

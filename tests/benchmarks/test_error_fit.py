@@ -8,9 +8,9 @@ import pytest
 from benchmarks.multiview.error_fit import Rows, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_joint, level_error, squares
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.error_features import FEATURES
 from hypose.tracking.error_model import (
     BY_ITSELF,
+    FEATURES,
     GROUPS,
     ErrorModel,
 )

@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 
 from hypose.body.body import Body, Mesh, enclosed_volume
-from hypose.body.coarse_mesh import coarse_mesh, decimated, is_closed
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.skin_weights import (
     body_bones,
     carried_weights,
+    coarse_mesh,
+    decimated,
     heat_weights,
     influences,
+    is_closed,
     vertex_normals,
 )
 from hypose.errors import InputError
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
 LEFT_ARM, RIGHT_ARM = [6, 7, 8], [10, 11, 12]

@@ -10,8 +10,8 @@ from benchmarks.synthetic.spoilt_keypoints import close_up, noisy
 from hypose.calibration.diagnose_person import wrong_way_up
 from hypose.cameras.camera import triangulate
 from hypose.evidence.keypoints import BODY_25, other_sides
-from hypose.synthetic.corruptions import keypoint_places
 from hypose.synthetic.scenes import camera_rig as named_rig
+from hypose.synthetic.scenes import keypoint_places
 from hypose.synthetic.subjects import load_subjects
 from tests import missing
 

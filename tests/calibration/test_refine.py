@@ -22,7 +22,7 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.terms import contour_term
 from hypose.geometry import se3, so3_exp
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 
 def turned(rig, c, degrees, move):

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.compute.depth_costs import SeenDepth, depth_energy, limb_depth_energy, standing_depth
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import drawn, sensors
 
 BODY = human()

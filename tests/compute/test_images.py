@@ -1,10 +1,10 @@
-"""Pictures to masks: the compiled kernels give the bytes of the plain definitions, in a box as in the whole."""
+"""Pictures to masks: foreground by its definition; undistorted pictures in a box as in the whole."""
 
 import cv2
 import numpy as np
 import pytest
 
-from hypose.compute import mask_runs, picture_to_mask
+from hypose.compute import picture_to_mask
 from hypose.errors import InputError
 
 
@@ -69,7 +69,7 @@ def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
     low, high = np.clip(mean - 20, 0, 255).astype(np.uint8), np.clip(mean + 20, 0, 255).astype(np.uint8)
     room = picture_to_mask.BackgroundLevels(low, high, mean, shadow, 0.45, 0.97, 144.0)
     for box in (None, (h // 9, 2 * h // 3, w // 6, 4 * w // 5)):
-        fast = mask_runs.mask_of(picture_to_mask.not_the_room(picture, room, box), w)
+        fast = picture_to_mask.not_the_room(picture, room, box)
         assert fast.any() and np.array_equal(fast, not_the_room(picture, room, box))
 
 

@@ -1,4 +1,4 @@
-"""Parts of a body against a mask, in words of 64 pixels, as OpenCV and counting pixel by pixel have it."""
+"""Parts of a body against a mask, as counting pixel by pixel has it."""
 
 import cv2
 import numpy as np
@@ -6,7 +6,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 from hypose.body.default_body import human
-from hypose.compute.mask_runs import mask_of
 from hypose.compute.parts import covered, draw_parts, parts_against_mask, touched_area
 
 PARTS = 5
@@ -25,9 +24,8 @@ def scene(rng: np.random.Generator, w: int, h: int) -> tuple[np.ndarray, ...]:
     return uv, z, (faces % 60).astype(np.int32), part, mask
 
 
-def packed(mask: np.ndarray, ignored: np.ndarray | None = None) -> np.ndarray:
-    """As `prepare_masks` has them."""
-    return np.packbits(mask if ignored is None else mask * (1 - ignored), axis=1, bitorder="little")
+def planes_of(drawn: np.ndarray, width: int) -> np.ndarray:
+    return np.unpackbits(drawn, axis=2, count=width, bitorder="little").astype(bool)
 
 
 def opened(bits: ArrayLike) -> np.ndarray:
@@ -58,31 +56,15 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         ignored = None if trial % 2 else (rng.random((h, width)) < 0.2).astype(np.uint8)
         points, radius = rng.uniform(0, [width, h], (4, 2)), rng.uniform(1, 30, 4)
         drawn = draw_parts(uv, z, faces, part, PARTS, (h, width))
-        planes = np.stack([mask_of(p, width) for p in drawn]).astype(bool)
+        planes = planes_of(drawn, width)
         for p in range(PARTS):
             np.testing.assert_array_equal(planes[p], covered(uv, z, faces[part == p], (h, width)))
-        hidden = None if ignored is None else packed(ignored)
-        seen = parts_against_mask(packed(mask, ignored), drawn, (0, width, 0, h), 1, points, radius, hidden)
+        seen = parts_against_mask(mask, ignored, drawn, points, radius)
         nothing = np.zeros_like(mask)
         expected = counted(planes, mask, points, radius, nothing if ignored is None else ignored)
         for found, right in zip(seen[:4], expected, strict=True):
             assert found.tolist() == right
-        np.testing.assert_array_equal(mask_of(seen.bits, width), planes.any(0))
-
-
-def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
-    *_, mask = scene(rng, 200, 150)
-    hidden = (rng.random(mask.shape) < 0.1).astype(np.uint8)
-    for step, box in ((1, (3, 190, 5, 140)), (2, (1, 198, 0, 150)), (3, (0, 200, 7, 149)), (7, (50, 51, 20, 120))):
-        x0, x1, y0, y1 = box
-        small, ignored = mask[y0:y1:step, x0:x1:step], hidden[y0:y1:step, x0:x1:step]
-        (h, w), points, radius = small.shape, rng.uniform(0, 50, (3, 2)), np.full(3, 20.0)
-        uv, z, faces, part, _ = scene(rng, w, h)
-        drawn = draw_parts(uv, z, faces, part, PARTS, (h, w))
-        planes = np.stack([mask_of(p, w) for p in drawn]).astype(bool)
-        seen = parts_against_mask(packed(mask, hidden), drawn, box, step, points, radius, packed(hidden))
-        for found, right in zip(seen[:4], counted(planes, small, points, radius, ignored), strict=True):
-            assert found.tolist() == right
+        np.testing.assert_array_equal(seen.body, planes.any(0))
 
 
 def test_of_a_closed_mesh_the_faces_that_turn_to_the_camera_cover_all(rng):

@@ -13,7 +13,7 @@ from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 @pytest.fixture
 def parts(tmp_path, monkeypatch):
     """(the parts that ran in this process, those that another was asked for) with a cache of its own; the other fails
-    with what fits a body."""
+    with outlines."""
     here, others = [], []
     made = {name: (lambda part=name: here.append(part),) for name in warming.KERNEL_GROUPS}
     monkeypatch.setattr(warming, "KERNEL_GROUPS", made)
@@ -23,7 +23,7 @@ def parts(tmp_path, monkeypatch):
 
     def elsewhere(part, began):
         others.append(part)
-        if part != "shape":
+        if part != "outlines":
             warming._mark(part).touch()
 
     monkeypatch.setattr(warming, "_in_another_process", elsewhere)
@@ -43,7 +43,7 @@ def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
 def test_what_another_process_could_not_do_is_done_here(parts):
     here, others = parts
     warm_up(load=False)
-    assert here == ["shape"] and sorted(others) == sorted(TRACKING_KERNELS)
+    assert here == ["outlines"] and sorted(others) == sorted(TRACKING_KERNELS)
 
 
 @pytest.mark.parametrize("change", [(compiled, "cache_folder", lambda: None), (sys, "executable", "/opt/bin/studio")])

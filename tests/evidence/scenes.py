@@ -6,7 +6,7 @@ import numpy as np
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import se3
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 
 def ring(count=4, radius=3.5, height=1.2, size=(320, 240), focal=260.0, target=(0.0, 0.0, 0.9), start=0.3):

@@ -14,16 +14,16 @@ from hypose.evidence.depth_background import (
     person_on_floor,
     with_still_things,
 )
-from hypose.evidence.depth_evidence import Depth, surface_points
-from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.depth_people import space_behind
+from hypose.evidence.depth_evidence import Depth, camera_on_floor
+from hypose.evidence.frame import Frame
+from hypose.evidence.people import occupied_space
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, seen_in_room, sensors
 from tests.evidence.scenes import iou
 
@@ -57,9 +57,9 @@ def test_a_view_without_depth_gives_no_points():
     half = Depth(depth.maps, depth.person, depth.rig, np.array([False, True]))
     assert half.surface.first.tolist()[:2] == [0, 0]
     nobody = Depth(depth.maps, 0 * depth.person, depth.rig, depth.usable)
-    assert len(surface_points(nobody, 50).points) == 0 and nobody.centre is None
+    assert len(nobody.surface.points) == 0 and nobody.centre is None
     with pytest.raises(EvidenceError, match="no depth camera|No depth camera"):
-        space_behind(nobody)
+        occupied_space(Frame(0.0, 0, depth=nobody))
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,8 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame
-from hypose.evidence.shared_masks import BodyShape, Other
+from hypose.evidence.people import BodyShape, Other, own_frame, people_seen
 from hypose.evidence.silhouettes import make_silhouettes
 from tests.depth_pictures import WALL_M, drawn, sensors
 from tests.evidence.scenes import on_floor

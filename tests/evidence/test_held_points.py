@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hypose.evidence.held_points import without_held
+from hypose.evidence.one_person import without_held
 
 
 def moving(rng, frames=20, people=1, points=12):

@@ -6,12 +6,11 @@ import trimesh
 
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.hull_people import people_in_hull
-from hypose.evidence.shared_masks import BodyShape
-from hypose.pipeline.person_paths import follow_places
+from hypose.evidence.people import BodyShape, people_in_hull
+from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_management import follow_places
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height
 from tests.evidence.scenes import masks_of, on_floor
 
 

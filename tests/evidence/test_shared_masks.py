@@ -9,12 +9,13 @@ from hypose.body.default_body import human
 from hypose.compute.arrays import NOT_KNOWN
 from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.people import Other, own_frame, without
 from hypose.evidence.prefetch import outlines, prepared_masks
-from hypose.evidence.shared_masks import Other, own_silhouettes, without
+from hypose.pipeline.track_loop import shape_of
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
 from tests import reference
 from tests.evidence.scenes import masks_of, on_floor, ring, solid_masks
 
@@ -35,7 +36,7 @@ def pair(body):
 
 def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     poses, shapes, silhouettes = pair
-    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
+    own = own_frame(Frame(0.0, 0, silhouettes), shapes[0], [Other(shapes[1])]).the(Silhouettes)
     assert own.ignored is not None
     prepared = prepared_masks(own)
     tried = np.stack([poses[0], poses[0] + 0.03, poses[1]])
@@ -53,7 +54,7 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
 
 def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
     _, shapes, silhouettes = pair
-    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
+    own = own_frame(Frame(0.0, 0, silhouettes), shapes[0], [Other(shapes[1])]).the(Silhouettes)
     assert own.ignored is not None
     made = outlines(own, working_height=WORKING_HEIGHT)
     for c in np.flatnonzero(own.ignored.any((1, 2))):

@@ -6,7 +6,7 @@ import pytest
 from hypose import fitting
 from hypose.body.default_body import human
 from hypose.evidence.terms import DepthTerm, depth_term
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY = human()

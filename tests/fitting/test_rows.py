@@ -16,10 +16,10 @@ from hypose.evidence.terms import contour_term, depth_term
 from hypose.fitting import rows
 from hypose.fitting.problem import Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.tracking import shape_refinement
-from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
+from hypose.tracking.frame_evidence import keypoint_model, keypoint_term
 from hypose.tracking.monocular import points
 from hypose.tracking.monocular.proportions import proportions
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG = human(), sensors(3)

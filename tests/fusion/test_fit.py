@@ -16,11 +16,8 @@ UNKNOWN = np.full((3, 3), np.nan)
 
 
 def solve(points, weights, predicted, prior, lengths, bone_weight, data, scale, iterations=30):
-    x, share = predicted.copy(), np.zeros(weights.shape)
-    variance = np.zeros(15)
     given = points, weights, predicted, prior, jt.SKELETON_BONES, lengths, bone_weight, data, scale, 1.0, iterations
-    fusion.fit_frame(*given, x, share, variance)
-    return x, share, variance
+    return fusion.fit_frame(*given)
 
 
 def test_the_kernel_finds_the_minimum_of_its_cost_and_the_covariance_of_its_matrix(rng):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.fusion.confidence import PUBLISHED_RULES, SHARP_RULES
+from hypose.fusion.swarm import PUBLISHED_RULES, SHARP_RULES
 
 
 def independent(f, d, a, rules):

@@ -8,11 +8,9 @@ import pytest
 from benchmarks.depth_sensors.replay import replay
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
-from hypose.fusion.align import Aligner, AlignSettings
-from hypose.fusion.clocks import SensorClock, offset_by_movement
+from hypose.fusion.align import Aligner, AlignSettings, SensorClock, offset_by_movement
 from hypose.fusion.joints import COMMON, MIRROR
-from hypose.fusion.live import LiveFuser
-from hypose.fusion.people import PeopleTracker
+from hypose.fusion.people import LiveFuser, PeopleTracker
 from hypose.geometry import se3_inverse, transform
 from tests.depth_sensors import camera, places, reports, walker
 

@@ -2,9 +2,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints
-from hypose.fusion import joints as jt
-from hypose.fusion.register import check_same_person, measured_joint_depth, register
+from hypose.fusion.register import check_same_person, register
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
@@ -65,16 +63,6 @@ def test_recordings_of_different_people_are_refused(rng):
     check_same_person(
         stacked(seen(tall, poses, rng, 0.02))[0], register(stacked(seen(tall, poses, rng))[0]), ("a", "b")
     )
-
-
-def test_depth_is_read_at_the_joints_pixels_and_nothing_outside_the_image():
-    k = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
-    depth = np.zeros((1, 48, 64), dtype=np.float32)
-    depth[0, 24, 32], depth[0, 34, 42] = 2.0, 1.9
-    p = np.full((1, 15, 3), np.nan)
-    p[0, 0], p[0, 1], p[0, 2] = (0, 0, 2.0), (0.2, 0.2, 2.0), (5, 0, 2.0)
-    f = SensorJoints(p, np.full((1, 15), 2), np.zeros(1), jt.COMMON, ("a",), depth, k[None])
-    assert measured_joint_depth(f)[0, :4] == pytest.approx([2.0, 1.9, 0, 0])
 
 
 def test_a_sensor_that_reports_a_point_is_refused(rng):

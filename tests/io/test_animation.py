@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hypose.body.default_body import human_skeleton
 from hypose.errors import InputError
-from hypose.io.motions.animation import Y_UP, write_bvh
-from hypose.io.motions.gltf import write_glb
+from hypose.io.motions.animation import Y_UP, write_bvh, write_glb
 from tests import missing
 
 

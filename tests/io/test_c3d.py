@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.motions.c3d import read_c3d, write_c3d
+from hypose.io.motions.marker_files import read_c3d, write_c3d
 
 
 @pytest.fixture

@@ -9,9 +9,8 @@ import pytest
 
 from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
 from hypose.errors import InputError
-from hypose.io.motions.c3d import read_c3d
 from hypose.io.motions.export import MOTION_FORMATS, export_motion
-from hypose.io.motions.marker_files import read_trc, write_angles_csv, write_joints_csv, write_mot, write_trc
+from hypose.io.motions.marker_files import read_c3d, read_trc, write_angles_csv, write_joints_csv, write_mot, write_trc
 
 NAMES = ("left_knee", "right_knee")
 

@@ -11,14 +11,14 @@ import pytest
 import trimesh
 
 from hypose.body.body import enclosed_volume
-from hypose.body.coarse_mesh import is_closed
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
+from hypose.body.skin_weights import is_closed
 from hypose.errors import InputError
-from hypose.io.motions.gltf import write_glb
+from hypose.io.motions.animation import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.pipeline.mesh_subject import rig_mesh
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 

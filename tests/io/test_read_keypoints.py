@@ -17,7 +17,8 @@ from benchmarks.robustness.keypoint_layouts import (
 )
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoints import keypoint_names, parse_openpose
+from hypose.evidence.keypoints import keypoint_names
+from hypose.io.keypoints.keypoint_files import parse_openpose
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
@@ -250,9 +251,9 @@ def test_recordings_of_other_programs(shared_data, name, words):
     assert any(words in n for n in recording.notes) and found.shape[:2] == (4, 60)
     assert (found[..., 2] > 0.3).mean() > 0.5
     if name == "pose_sync":
-        assert all(v.keypoints.parent.name == "pose-sync" for v in recording.views)
+        assert all(v.files["keypoints"].parent.name == "pose-sync" for v in recording.views)
 
 
 def test_openpose_1_0_is_read():
     flat = [1.0, 2.0, 0.5] * 18
-    assert parse_openpose({"people": [{"pose_keypoints": flat}]}, raw=True).shape == (1, 18, 3)
+    assert parse_openpose({"people": [{"pose_keypoints": flat}]}).shape == (1, 18, 3)

@@ -28,7 +28,7 @@ def test_minimal(tmp_path):
     recording = load_recording(make_recording(tmp_path / "walk"))
     assert recording.name == "walk" and recording.folder == tmp_path / "walk"
     assert recording.rig.names == ("cam_1", "cam_2") == tuple(v.name for v in recording.views)
-    assert recording.views[0] == ViewSettings("cam_1", video=tmp_path / "walk" / "cam_1.avi")
+    assert recording.views[0] == ViewSettings("cam_1", {"video": tmp_path / "walk" / "cam_1.avi"})
     assert recording.frame_rate == pytest.approx(25) and recording.frames == range(12)
     assert recording.keypoint_set is None and recording.subject_height is None and recording.notes == ()
     assert set(recording.inputs) == {"calibration", "cam_1.video", "cam_2.video"}
@@ -75,9 +75,9 @@ def test_everything_and_round_trip(tmp_path):
     recording = load_recording(folder)
     assert recording.name == "Läufe 1" and recording.rig.names == ("cam_2", "cam_1")
     left, right = recording.views
-    assert left.image_shift == (6.0, -0.5) and left.background == folder / "plate.png"
-    assert left.keypoints == folder / "pose" and left.source == folder / "cam_2.avi"
-    assert right.masks == folder / "masks" and right.source is None and right.accept_scaled
+    own = {"video": folder / "cam_2.avi", "background": folder / "plate.png", "keypoints": folder / "pose"}
+    assert left.image_shift == (6.0, -0.5) and left.files == own and left.source == own["video"]
+    assert right.files["masks"] == folder / "masks" and right.source is None and right.accept_scaled
     assert recording.frame_range == (2, 10) and recording.frames == range(2, 10)
     assert (recording.keypoint_set, recording.keypoint_lag, recording.keypoint_pixels) == ("BODY_25B", 1, "image")
     assert (recording.subject_height, recording.subject_mass) == (1.8, 75.0)
@@ -448,8 +448,8 @@ def test_project_of_today(tmp_path):
     assert recording.subject_height == 1.72 and recording.subject_mass == 70
     assert recording.rig.names == ("cam_01", "cam_02")
     for view, name in zip(recording.views, NAMES, strict=True):
-        assert view.name == name and view.video == tmp_path / "Demo" / "videos" / f"{name}.mp4"
-        assert view.keypoints == tmp_path / "Demo" / "pose" / f"{name}_json"
+        assert view.name == name and view.files["video"] == tmp_path / "Demo" / "videos" / f"{name}.mp4"
+        assert view.files["keypoints"] == tmp_path / "Demo" / "pose" / f"{name}_json"
     assert load_recording(tmp_path / "Demo" / "Config.toml").views == recording.views
 
 
@@ -463,8 +463,7 @@ def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
         reported.keypoint_lag == 1 and reported.frame_rate == plain.frame_rate and reported.rig.names == plain.rig.names
     )
     assert [v.image_shift for v in reported.views] == [(0.0, 0.0), (7.3, 0.0)]
-    assert [v.video for v in reported.views] == [v.video for v in plain.views]
-    assert [v.keypoints for v in reported.views] == [v.keypoints for v in plain.views]
+    assert [v.files for v in reported.views] == [v.files for v in plain.views]
     toml.write_text('[[view]]\nname = "cam9"\n')
     with pytest.raises(InputError, match=r"has no view 'cam9'"):
         load_recording(project)
@@ -513,7 +512,7 @@ def test_extrinsics_photos_become_plates(tmp_path):
     cv2.imwrite(str(photo), frame(9, (128, 96)))
     cv2.imwrite(str(folder / "calibration" / "extrinsics" / "cam02.png"), frame(9, (48, 64)))
     recording = load_recording(folder)
-    assert recording.views[0].background == photo and recording.views[1].background is None
+    assert recording.views[0].files["background"] == photo and "background" not in recording.views[1].files
     assert any("serve as background plates of cam01;" in n for n in recording.notes)
     assert any("cam02.png (48 x 64 px) is not used as background of cam02 (64 x 48 px)" in n for n in recording.notes)
 
@@ -526,7 +525,7 @@ def test_qualisys_only_and_image_folders(tmp_path):
         for i in range(3):
             cv2.imwrite(str(folder / "videos" / name / f"{i}.jpg"), frame(i))
     recording = load_recording(folder)
-    assert [v.images for v in recording.views] == [folder / "videos" / n for n in NAMES]
+    assert [v.files["images"] for v in recording.views] == [folder / "videos" / n for n in NAMES]
     assert recording.n_frames == 3
 
 
@@ -536,8 +535,8 @@ def test_a_real_project(shared_data, tmp_path):
     assert recording.rig.names == ("cam_01", "cam_02", "cam_03", "cam_04")
     assert recording.frame_rate == 60 and recording.n_frames == 100 and recording.keypoint_set == "BODY_25B"
     for view in recording.views:
-        assert view.video is not None and view.keypoints is not None and view.background is not None
-        assert view.name in view.video.name and view.name in view.keypoints.name and view.name in view.background.name
+        assert {"video", "keypoints", "background"} <= view.files.keys()
+        assert all(view.name in path.name for path in view.files.values())
     scaled = [n for n in recording.notes if "taken as scaled" in n]
     assert len(scaled) == 2 and "cam01.mp4 is 1080 x 1920 px, the calibration 1088 x 1920 px" in scaled[0]
     write_recording(recording, tmp_path)

@@ -77,7 +77,7 @@ def test_frames_are_those_of_their_time(tmp_path, way):
 def test_steady_videos_are_read_frame_by_frame(tmp_path):
     found = recording(tmp_path, [STEADY, STEADY[:-3]])
     assert all(v.rate is None for v in found.views) and not any("time stamps" in n for n in found.notes)
-    assert np.allclose(frame_times(found.views[0].video), STEADY, atol=1e-3)
+    assert np.allclose(frame_times(found.views[0].files["video"]), STEADY, atol=1e-3)
 
 
 def test_key_points_of_other_programs_are_numbered_by_the_stored_frames(tmp_path):

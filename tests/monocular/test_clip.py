@@ -64,7 +64,7 @@ def test_the_way_back_finds_the_way_back():
     images = [picture(body, q, view, background, seed=7) for q in poses]
     usual = MonoSettings()
     settings = replace(usual, search=replace(usual.search, hypotheses=2, directions=1))
-    tracker = Tracker(body, picture_recipe(PictureSearch(body, settings, body_dofs(s), threads=1)))
+    tracker = Tracker(body, picture_recipe(PictureSearch(body, settings, body_dofs(s))))
     last = Hypotheses(poses[-1:], np.zeros(1), columns={"velocity": poses[-1:] - poses[-2:-1]})
     way = [Frame(i / RATE, i, picture=Picture(view, images[i], images[i + 1])) for i in range(3, -1, -1)]
     found = list(backward_estimates(tracker, tracker.start(last), way))

@@ -8,11 +8,11 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.mono import GAUSSIAN, LORENTZIAN
+from hypose.compute.losses import lorentzian, quadratic
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import clicked_joints
@@ -48,8 +48,8 @@ def clip():
     return body, view, poses, [picture(body, q, view, background, seed=7) for q in poses]
 
 
-def tracker_of(body, settings=SETTINGS, active=None, threads=1, seed=5):
-    recipe = picture_recipe(PictureSearch(body, settings, active, threads, points=partial(keypoint_term, scale_px=4.0)))
+def tracker_of(body, settings=SETTINGS, active=None, seed=5):
+    recipe = picture_recipe(PictureSearch(body, settings, active, points=partial(keypoint_term, scale_px=4.0)))
     return Tracker(body, recipe, TrackerSettings("auto", seed))
 
 
@@ -63,8 +63,8 @@ def at(*poses):
     return Hypotheses.uniform(np.stack(poses))
 
 
-def follow(body, view, poses, pictures, settings=SETTINGS, *, points=None, masks=None, threads=1):
-    tracker = tracker_of(body, settings, threads=threads)
+def follow(body, view, poses, pictures, settings=SETTINGS, *, points=None, masks=None):
+    tracker = tracker_of(body, settings)
     frames = [frame_of(view, pictures, i, points, masks) for i in range(1, len(pictures))]
     return [estimate for _, estimate in tracker.follow(tracker.start(at(poses[0])), frames)]
 
@@ -103,9 +103,9 @@ def test_masks_and_key_points_help(clip):
     assert error(body, estimates, poses) < 0.025
 
 
-def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads(clip):
+def test_the_same_seed_gives_the_same_numbers(clip):
     body, view, poses, pictures = clip
-    first, second = (follow(body, view, poses[:4], pictures[:4], threads=t) for t in (1, 2))
+    first, second = (follow(body, view, poses[:4], pictures[:4]) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.uncertainty.modes.poses, b.uncertainty.modes.poses)
         np.testing.assert_array_equal(a.uncertainty.modes.covariances, b.uncertainty.modes.covariances)
@@ -115,8 +115,8 @@ def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
     body, view, poses, pictures = clip
     s, search = SETTINGS, SETTINGS.search
     ablations = (
-        s.robust(GAUSSIAN),
-        s.robust(LORENTZIAN),
+        s.robust(quadratic),
+        s.robust(lorentzian),
         replace(s, velocity=0.0, interpenetration=0.0),
         replace(s, search=replace(search, hypotheses=1)),
         replace(s, search=replace(search, flips=True, flip_every=1)),

@@ -4,7 +4,6 @@ import numpy as np
 
 from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
-from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints, fit_proportions
 from hypose.tracking.monocular.problem import floor_of
 from hypose.tracking.monocular.proportions import (
@@ -13,6 +12,7 @@ from hypose.tracking.monocular.proportions import (
     shaped,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
+from hypose.tracking.smoothing import soles_of
 
 POINTS = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]

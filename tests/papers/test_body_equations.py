@@ -19,7 +19,7 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import PartitionedXor, chain_region
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 
 @pytest.fixture(scope="module")

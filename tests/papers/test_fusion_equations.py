@@ -9,23 +9,30 @@ from benchmarks.depth_sensors.sensor_choice import Choice, cases
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import (
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.register import triangle_transform
+from hypose.fusion.swarm import (
     HIGH,
     LOW,
     MEDIUM,
+    PUBLISHED,
     PUBLISHED_CONFIDENCE,
     PUBLISHED_RULES,
     ConfidenceSettings,
+    MergedWheel,
     NoiseRules,
+    SwarmFrame,
+    SwarmSettings,
     confidence_step,
     depth_error,
+    energy,
     normalised,
+    ride,
     start_confidence,
+    start_swarm,
+    swarm_step,
     unnatural,
 )
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
-from hypose.fusion.register import triangle_transform
-from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
 
@@ -107,7 +114,7 @@ def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
     for t in range(1, 23):
         speeds.append(np.linalg.norm(positions[t] - positions[t - 1], axis=-1) / (times[t] - times[t - 1])[:, None])
     for t in range(23):
-        memory, raw = confidence_step(memory, positions[t], state, None, times[t], settings)
+        memory, raw = confidence_step(memory, positions[t], state, (), times[t], settings)
         activations.append(sum(speeds[max(0, t - 4) : t + 1]))
         expected = np.sqrt(np.mean((activations[-5:] - np.mean(activations[-5:], axis=0)) ** 2, axis=0))
         np.testing.assert_allclose(raw[0], expected, atol=1e-9)

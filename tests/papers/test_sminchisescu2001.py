@@ -9,22 +9,30 @@ from scipy.ndimage import correlate, gaussian_filter
 
 from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
 from hypose.body.default_body import human
-from hypose.compute import mono
-from hypose.compute.mono import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.losses import leclerc, lorentzian, quadratic
 from hypose.compute.solver import bounded_step_kernel
 from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
+from hypose.fitting.problem import Posed
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.resampling import keep
+from hypose.tracking.monocular.picture_rows import (
+    contour_nodes,
+    edge_rows,
+    flow_rows,
+    line_search,
+    robust,
+    view_of,
+)
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
-from hypose.tracking.monocular.problem import edge_arrays, field_of, fixed_parts, frame_evidence, score
+from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_evidence, moving_edges, score
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from tests.monocular.pictures import SIZE, camera, picture, wall
+from tests.monocular.pictures import camera, picture, wall
 from tests.monocular.test_cost import FLOW, evaluate, flow_problem
 from tests.papers.test_body_equations import transforms
 
 NO_BACKGROUND = replace(
-    MonoSettings(), edge=MonoSettings().edge._replace(background=0.0, form=LECLERC), interpenetration=0.0
+    MonoSettings(), edge=MonoSettings().edge._replace(background=0.0, loss=leclerc), interpenetration=0.0
 )
 
 
@@ -38,8 +46,17 @@ def scene():
 def problem_of(scene, settings):
     body, _, image = scene
     fixed = fixed_parts(body, camera(body), body_dofs(body.skeleton), settings)
-    evidence = frame_evidence(fixed, Picture(camera(body), image), None, field_of(image, settings), None, settings)
-    return evidence, mono.workspace(fixed.model, SIZE[1], SIZE[0])
+    return frame_evidence(fixed, Picture(camera(body), image), None, field_of(image, settings), None)
+
+
+def seen_at(problem, pose):
+    return view_of(Posed(problem.fixed.body, pose, problem.fixed.body.skin(pose)), problem.fixed.camera)
+
+
+def edges_of(problem, pose):
+    """The rows of the contour against the edges."""
+    how = problem.fixed.settings.edge
+    return edge_rows(seen_at(problem, pose), problem.fixed.moving, problem.field, how, how.sigma_px)[0]
 
 
 def superquadric(x_d, eta, omega):
@@ -78,17 +95,17 @@ def test_equation_1_deformation_chain_and_projection(rng):
 def test_equations_2_and_3_robust_forms(sigma):
     s = np.array([0.0, 0.3, 4.0, 90.0])
     for form, rho in (
-        (LORENTZIAN, np.log1p(s / sigma**2)),
-        (LECLERC, 1 - np.exp(-s / sigma**2)),
-        (GAUSSIAN, s / sigma**2),
+        (lorentzian, np.log1p(s / sigma**2)),
+        (leclerc, 1 - np.exp(-s / sigma**2)),
+        (quadratic, s / sigma**2),
     ):
-        found = np.array([mono.robust(form, x, sigma**2) for x in s])
+        found = np.stack(np.broadcast_arrays(*robust(form, s, sigma)), 1)
         np.testing.assert_allclose(found[:, 0], rho, atol=1e-14)
         # rho(0) = 0 and rho'(0) = nu / sigma^2, nu = 1
         np.testing.assert_allclose(found[0, :2], [0, 1 / sigma**2])
         h = 1e-6
         for k in (0, 1):  # rho' and rho'' by central differences
-            up, down = (np.array([mono.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
+            up, down = (robust(form, s + e, sigma)[k] for e in (h, -h))
             np.testing.assert_allclose(found[:, k + 1], (up - down) / (2 * h), atol=1e-8 / sigma**4)
 
 
@@ -104,27 +121,21 @@ def test_equation_4_weights_are_exp_of_minus_the_cost_over_their_sum(scene):
 def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(scene):
     # deviations: a node stands for its length of contour, its cost is not divided by N nu, and back-facing nodes, whose
     # share of a closed surface hardly changes, are counted but cost nothing
-    settings = NO_BACKGROUND
-    problem, ws = problem_of(scene, settings)
-    pose, e = scene[1], settings.edge
-    total = mono.picture_cost(pose, problem.arrays, e.sigma_px, 0, ws)[0]
-    counts = ws.counts.copy()
-    nodes = ws.nodes[: counts[0] + counts[3]].copy()
-    window, sigma2 = e.window_px, e.sigma_px**2
-    most = 1 - np.exp(-(window**2) / sigma2)
-    expected = 0.0
-    for node in nodes:
-        share = e.height * node[5] / e.sample_px  # nu times independent samples
-        if node[6] == 0:
+    problem, pose, e = problem_of(scene, NO_BACKGROUND), scene[1], NO_BACKGROUND.edge
+    view = seen_at(problem, pose)
+    nodes = contour_nodes(view, problem.fixed.moving, e.spacing_px)
+    most, expected = 1 - np.exp(-(e.window_px**2) / e.sigma_px**2), 0.0
+    offset, strength = line_search(problem.field, nodes.uv, nodes.normal, e.window_px, e.threshold)
+    for i, seen in enumerate(nodes.seen):
+        share = e.height * nodes.length[i] / e.sample_px  # nu times independent samples
+        if not seen:
             expected += 0.5 * share * e.occluded * most
             continue
-        scratch, offset, strength = np.empty(2 * window + 1), np.empty(16), np.empty(16)
-        m = mono.line_search(problem.arrays.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
-        w = strength[:m] / max(1.0, strength[:m].sum())
-        rho = 1 - np.exp(-(offset[:m] ** 2) / sigma2)
+        w = strength[i] / max(1.0, strength[i].sum())
+        rho = 1 - np.exp(-(offset[i] ** 2) / e.sigma_px**2)
         expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
-    assert total == pytest.approx(expected, rel=1e-6)
-    assert 0.4 < counts[4] / len(problem.fixed.model.mesh.faces) < 0.6  # N_bf of a closed surface
+    assert edges_of(problem, pose).cost == pytest.approx(expected, rel=1e-6)
+    assert 0.4 < 1 - view.front.mean() < 0.6  # N_bf of a closed surface
 
 
 def test_section_3_2_edges_are_gradients_of_the_smoothed_picture(rng):
@@ -163,13 +174,13 @@ def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
     for centre, strength in ((30.25, 1.0), (40.0, 0.4), (47.0, -0.7)):
         x = np.arange(w)
         field[:, :, 0] += strength * np.exp(-0.5 * ((x - centre) / 1.2) ** 2)
-    scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-    m = mono.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
-    assert m == 3
-    np.testing.assert_allclose(offset[:3], [-7.75, 2.0, 9.0], atol=0.15)
-    np.testing.assert_allclose(strength[:3], [1.0, 0.4, 0.7], atol=0.05)
+    at = np.array([[38.0, 20.0]])
+    offset, strength = (x[0] for x in line_search(field, at, np.array([[1.0, 0.0]]), 14, 0.08))
+    found = strength > 0
+    np.testing.assert_allclose(offset[found], [-7.75, 2.0, 9.0], atol=0.15)
+    np.testing.assert_allclose(strength[found], [1.0, 0.4, 0.7], atol=0.05)
     # edges across the normal count nothing
-    assert mono.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
+    assert not line_search(field, at, np.array([[0.0, 1.0]]), 14, 0.08)[1].any()
 
 
 def test_equation_7_motion_boundaries_weigh_the_edges():
@@ -177,89 +188,77 @@ def test_equation_7_motion_boundaries_weigh_the_edges():
     boundaries = np.zeros((3, 4), np.float32)
     boundaries[1, 2] = 1.0
     flow = Flow(np.zeros((3, 4, 2), np.float32), boundaries, boundaries, (2, 1))
-    out = edge_arrays(field, flow, MonoSettings(edge=MonoSettings().edge._replace(boundary_floor=0.1))).field
+    out = moving_edges(field, flow, 0.1)
     assert out[2, 4, 0] == pytest.approx(1.0)  # a full boundary keeps the edge
     assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
 
 
-@pytest.mark.parametrize("form", [LORENTZIAN, LECLERC])
-def test_equation_7_inner_nodes_are_compared_with_where_flow_carries_them(form):
+@pytest.mark.parametrize("loss", [lorentzian, leclerc])
+def test_equation_7_inner_nodes_are_compared_with_where_flow_carries_them(loss):
     body, active = human(), body_dofs(human().skeleton)
-    pose = body.skeleton.rest_pose()
-    problem, ws, n = flow_problem(body, active, pose)
-    flow = problem.arrays.flow
-    flow = flow._replace(settings=flow.settings._replace(form=form))
-    at = pose + 0.01
-    total = mono.picture_cost(at, problem.arrays._replace(flow=flow), 3.0, n, ws)[0]
-    v, view = body.skin(at), camera(body, distance=1.7)
-    sigma2, height = flow.settings.sigma_px**2, flow.settings.height
-    expected = 0.0
-    for face, (w1, w2, u, y, weight) in zip(ws.flow_faces[:n], ws.flow_nodes[:n, :5], strict=True):
-        place = (1 - w1 - w2) * v[face[0]] + w1 * v[face[1]] + w2 * v[face[2]]
-        s = ((view.project(place[None])[0] - [u, y]) ** 2).sum()
-        rho = np.log1p(s / sigma2) if form == LORENTZIAN else 1 - np.exp(-s / sigma2)
-        expected += 0.5 * height * weight * rho
-    assert n > 50 and total == pytest.approx(expected, rel=1e-4)
+    pose, how = body.skeleton.rest_pose(), FLOW._replace(loss=loss)
+    problem, targets = flow_problem(body, active, pose, settings=how)
+    at, view = pose + 0.01, camera(body, distance=1.7)
+    total = flow_rows(Posed(body, at, body.skin(at)), view.projection, targets, how).cost
+    before, after = ((targets.share[..., None] * body.skin(q)[targets.carrier]).sum(1) for q in (pose, at))
+    np.testing.assert_allclose(view.project(before) + [3.0, -2.0], targets.target, atol=0.01)
+    s = ((view.project(after) - targets.target) ** 2).sum(1) / how.sigma_px**2
+    rho = np.log1p(s) if loss is lorentzian else 1 - np.exp(-s)
+    weight = how.height * (how.spacing_px / how.area_px) ** 2
+    assert len(s) > 50 and total == pytest.approx(0.5 * weight * rho.sum(), rel=1e-4)
 
 
 def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene):
-    # the rows of the kernel against J^T (sum rho' W dr) and J^T (sum rho' W + 2 rho'' (W dr)(W dr)^T) J, with J by
+    # the rows against J^T (sum rho' W dr) and J^T (sum rho' W + 2 rho'' (W dr)(W dr)^T) J, with J by
     # finite differences of the node's place along its normal
     body, pose, _ = scene
     settings = replace(NO_BACKGROUND, edge=NO_BACKGROUND.edge._replace(spacing_px=40.0))
-    problem, ws = problem_of(scene, settings)
-    active = problem.fixed.active
-    _, gradient, hessian, counts = evaluate(pose, problem, ws)
+    problem = problem_of(scene, settings)
+    active, e = problem.fixed.active, settings.edge
+    _, gradient, hessian = evaluate(pose, problem)
     hessian = hessian - np.diag(problem.fixed.posture)  # the pose is at rest, so that only the Hessian has it
-    nodes, ends = ws.nodes[: counts[0] + counts[3]].copy(), ws.node_ends[: counts[0] + counts[3]].copy()
+    nodes = contour_nodes(seen_at(problem, pose), problem.fixed.moving, e.spacing_px)
+    share = np.stack([1 - nodes.place, nodes.place], 1)[..., None]
 
     def places(q):
-        v = body.skin(q)
-        x = (1 - nodes[:, :1]) * v[ends[:, 0]] + nodes[:, :1] * v[ends[:, 1]]
-        return (camera(body).project(x) * nodes[:, 3:5]).sum(1)
+        return (camera(body).project((share * body.skin(q)[nodes.ends]).sum(1)) * nodes.normal).sum(1)
 
-    jacobian = np.zeros((len(nodes), len(active)))
+    jacobian = np.zeros((len(share), len(active)))
     for k, d in enumerate(active):
         up, down = pose.copy(), pose.copy()
         up[d] += 1e-4
         down[d] -= 1e-4
         jacobian[:, k] = (places(up) - places(down)) / 2e-4
-    e, first, second = settings.edge, np.zeros(len(nodes)), np.zeros(len(nodes))
-    for i, node in enumerate(nodes):
-        if node[6] == 0:
-            continue
-        scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-        m = mono.line_search(problem.arrays.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
-        w = e.height * node[5] / e.sample_px * strength[:m] / max(1.0, strength[:m].sum())
-        r1 = np.exp(-(offset[:m] ** 2) / 9) / 9
-        first[i] = -(w * r1 * offset[:m]).sum()
-        bend = np.maximum(r1 - 2 * r1 / 9 * offset[:m] ** 2, 0.1 * r1)
-        second[i] = (w * bend).sum()
+    offset, strength = line_search(problem.field, nodes.uv, nodes.normal, 14, e.threshold)
+    w = strength / np.maximum(1.0, strength.sum(1, keepdims=True)) * nodes.seen[:, None]
+    w *= (e.height * nodes.length / e.sample_px)[:, None]
+    r1 = np.exp(-(offset**2) / 9) / 9
+    first = -(w * r1 * offset).sum(1)
+    second = (w * np.maximum(r1 - 2 * r1 / 9 * offset**2, 0.1 * r1)).sum(1)
     expected = jacobian.T @ (second[:, None] * jacobian)
     np.testing.assert_allclose(gradient, jacobian.T @ first, atol=3e-3 * np.abs(gradient).max())
     np.testing.assert_allclose(hessian, expected, atol=3e-3 * np.abs(expected).max())
 
 
 def test_equation_10_priors_add_their_gradient_and_curvature(scene):
-    problem, ws = problem_of(scene, NO_BACKGROUND)
+    problem = problem_of(scene, NO_BACKGROUND)
     pose = scene[1]
     spread = problem.fixed.spread
-    plain = evaluate(pose, problem, ws)
-    pulled = evaluate(pose, problem.predicted(pose + 0.02), ws)
+    plain = evaluate(pose, problem)
+    pulled = evaluate(pose, problem.predicted(pose + 0.02))
     np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
     np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
     assert pulled.cost - plain.cost == pytest.approx((0.5 * (0.02 / spread) ** 2).sum(), rel=1e-6)
 
 
 def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scene):
-    problem, ws = problem_of(scene, NO_BACKGROUND)
-    problem, pose = problem.predicted(scene[1] + 0.02), scene[1]
-    edges = mono.picture_cost(pose, problem.arrays, NO_BACKGROUND.edge.sigma_px, 0, ws)[0]
+    problem, pose = problem_of(scene, NO_BACKGROUND).predicted(scene[1] + 0.02), scene[1]
+    edges, (h, w) = edges_of(problem, pose).cost, problem.field.shape[:2]
     priors = 0.5 * ((0.02 / problem.fixed.spread) ** 2).sum()
-    h, w = problem.arrays.edges.field.shape[:2]
-    flow = FlowArrays(np.full((h, w, 2), 5, np.float32), np.zeros((h, w), np.float32), np.zeros(2, np.int64), FLOW)
-    for arrays in (problem.arrays, problem.arrays._replace(flow=flow)):
-        assert score(pose, problem._replace(arrays=arrays), ws) == pytest.approx(edges + priors)
+    none = np.zeros((h, w), np.float32)
+    flow = Flow(np.full((h, w, 2), 5, np.float32), none, none, (0, 0))
+    for carried in (None, flow):
+        assert score(pose, problem._replace(flow=carried)) == pytest.approx(edges + priors)
     assert priors > 0.05
 
 

@@ -10,15 +10,14 @@ from hypose.body.default_body import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline import track_management
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import TrackedPerson
+from hypose.pipeline.subject import TrackedSubject
+from hypose.pipeline.track_loop import Member, TrackedPerson, shape_of
 from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
+from hypose.tracking.part_colours import Appearance, appearance_in, no_appearance
 from hypose.tracking.recipes import recipe
-from hypose.tracking.several import Member, shape_of
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 RIG = named_rig("ring-3").scaled(0.5).pinhole()

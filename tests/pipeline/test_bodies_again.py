@@ -8,15 +8,13 @@ import pytest
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.people import AGAIN, fitted_again
-from hypose.pipeline.person_paths import KnownPerson
-from hypose.pipeline.track_loop import TrackedPerson, tracker_of
-from hypose.pipeline.track_management import without_doubles
+from hypose.pipeline.subject import TrackedSubject
+from hypose.pipeline.track_loop import TrackedPerson, shape_of, tracker_of
+from hypose.pipeline.track_management import KnownPerson, without_doubles
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.evidence.scenes import masks_of
 
 RATE, FRAMES = 12.5, 14

@@ -31,7 +31,7 @@ def recording(scene, tmp_path_factory):
 @pytest.fixture(scope="module")
 def silent(recording):
     """The recording without key points."""
-    views = tuple(dataclasses.replace(v, keypoints=None) for v in recording.views)
+    views = tuple(v.without("keypoints") for v in recording.views)
     return dataclasses.replace(recording, views=views, keypoint_set=None)
 
 

@@ -12,8 +12,7 @@ from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp, transform
-from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.marker_files import read_mot, write_mot, write_trc
+from hypose.io.motions.marker_files import read_mot, write_c3d, write_mot, write_trc
 from hypose.io.motions.results import save_body, save_motion
 from hypose.pipeline.comparison import CompareOptions, OtherMotion, compare_motions, read_other
 

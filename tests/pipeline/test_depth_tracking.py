@@ -25,7 +25,7 @@ from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.recipes import recipe
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.depth_pictures import frame_of, sensors
 

@@ -21,7 +21,7 @@ from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows, skelet
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 FRAMES = 40
 PLACE = se3(so3_exp(np.array([0.3, -1.2, 0.4])), np.array([0.5, 0.2, 2.4]))

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
 from hypose.cameras.camera import CameraRig
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.subject import SubjectOptions, find_subject
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from benchmarks.synthetic.noisy_masks import noisy_scene
 from hypose.body.default_body import human
 from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.run import track_source
-from hypose.pipeline.subject_from_motion import measured_height
+from hypose.pipeline.subject import measured_height
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 

@@ -13,7 +13,8 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B, other_sides
 from hypose.geometry import se3
-from hypose.pipeline.input_checks import check_inputs, sentences
+from hypose.pipeline.assessment import sentences
+from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
 
@@ -162,7 +163,7 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
     from hypose.io.recordings.frames import FrameSettings, FrameStream
     from hypose.io.recordings.recording import load_recording
 
-    with FrameStream(load_recording(BALANCING), FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(load_recording(BALANCING), FrameSettings(masks=False)) as stream:
         real = [stream.frame(i) for i in range(len(stream))]
     assert kinds(real) == []
     found = check_inputs(

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import view_statistics
 from hypose.pipeline.retracking import correct_left_right, left_right_notes, retrack_start, start_notes
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.left_right import turned_around
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.walking_clip import walking_clip
 
 N = 45

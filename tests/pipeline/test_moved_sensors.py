@@ -12,7 +12,7 @@ from hypose.geometry import se3, so3_exp
 from hypose.pipeline.moved_sensors import PlacedSource, moved_sensors, placed
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG, RATE = human(), sensors(2), 15.0

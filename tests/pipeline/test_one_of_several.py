@@ -5,9 +5,9 @@ from unittest.mock import Mock
 import pytest
 
 from hypose.calibration.findings import INVALID, REVIEW, Finding
-from hypose.pipeline.person_paths import KnownPerson
 from hypose.pipeline.run import PeopleResult, TrackResult
 from hypose.pipeline.track import track_one_of
+from hypose.pipeline.track_management import KnownPerson
 from hypose.pipeline.track_options import TrackOptions
 
 ANNA = KnownPerson("Anna", place=(1.0, 2.5), time=0.5)

@@ -9,8 +9,8 @@ import hypose
 from hypose.app.jobs.explain import explain_joint
 from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.pipeline import passes
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import camera_rig, make_scene

@@ -10,14 +10,13 @@ from hypose.evidence.association import PersonTrack
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline import people
-from hypose.pipeline.person_paths import KeypointPeople, KnownPerson, names_at_places, per_frame, said_of_places
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import track_people
-from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.track_loop import FrameList, shape_of
+from hypose.pipeline.track_management import KeypointPeople, KnownPerson, names_at_places, per_frame, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.evidence.scenes import masks_of
 from tests.stand_ins import stop_at
 

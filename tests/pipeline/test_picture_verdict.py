@@ -10,8 +10,8 @@ from hypose.evidence.keypoints import BODY_25
 from hypose.pipeline.one_camera import against_the_picture, image_deviation
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.starts import known_pose
+from hypose.tracking.frame_evidence import keypoint_model
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of
 
 BODY = human()

@@ -6,11 +6,11 @@ import pytest
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.people import frame_of_person, rough_bodies
-from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.start_choice import best_ways
+from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_management import follow_places
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.several import shape_of
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.evidence.scenes import masks_of
 
 FRAMES, RATE = 8, 12.5

@@ -8,8 +8,8 @@ import pytest
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import ResultsFolder, load_motion
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.track_options import TrackOptions

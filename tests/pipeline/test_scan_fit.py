@@ -6,14 +6,14 @@ import pytest
 from benchmarks.synthetic.scans import scan_of
 from hypose.body.default_body import human
 from hypose.geometry import so3_exp
-from hypose.pipeline.scan_fit import (
+from hypose.pipeline.mesh_subject import (
     find_stances,
     fit_template,
     surface_samples,
     unposed,
 )
 from hypose.synthetic.subjects import load_subjects
-from hypose.tracking.starts import KNOWN_POSES, known_pose
+from hypose.tracking.start_search import KNOWN_POSES, known_pose
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 

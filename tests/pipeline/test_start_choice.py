@@ -10,9 +10,7 @@ from hypose.evidence.frame import Frame
 from hypose.pipeline.start_choice import best_ways
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.left_right import turned_around
-from hypose.tracking.start_search import Start
-from hypose.tracking.starts import KNOWN_POSES, start_in_pose
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import KNOWN_POSES, Start, scaled_to_height, start_in_pose
 
 RATE = 12.5
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.noisy_masks import noisy_scene
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.subject import SubjectOptions, find_subject
 
 
 @pytest.mark.slow

@@ -12,9 +12,9 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.start_choice import check_borders, check_start, cut_edges
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, estimate_subject
 from hypose.synthetic.scenes import camera_rig
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 
 @pytest.fixture(scope="module")

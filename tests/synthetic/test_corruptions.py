@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.synthetic.corruptions import Corruptions, corruptions, disturb_rig, occluder_mesh
-from hypose.synthetic.scenes import camera_rig
+from hypose.synthetic.scenes import Corruptions, camera_rig, corruptions, disturb_rig, occluder_mesh
 
 
 def test_names_combine_and_unknown_ones_are_refused():

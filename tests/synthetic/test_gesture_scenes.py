@@ -8,7 +8,7 @@ from benchmarks.depth_gestures.gesture_scores import area_under_curve
 from hypose.compute import depth_sensor
 from hypose.gestures.depth_pictures import KINECT, surface_depth
 from hypose.gestures.events import average_precision
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES
 
 LENS = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
 

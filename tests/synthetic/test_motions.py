@@ -4,7 +4,7 @@ import pytest
 from hypose.body.default_body import PARENTS
 from hypose.errors import InputError
 from hypose.geometry import so3_log
-from hypose.synthetic.motions import MOTIONS, act, walk
+from hypose.synthetic.motions import MOTIONS, act
 from hypose.synthetic.performance import hanging_from_rest, soles
 
 
@@ -52,7 +52,7 @@ def test_walking_feet_do_not_slide(person):
     speed = np.linalg.norm(np.diff(p.root[:, :2], axis=0), axis=1) * 50
     assert 0.9 < speed.mean() < 1.6
     # one foot stands: the slower of the two soles' lowest points hardly moves over the ground
-    straight = walk(person, 4.0, 50.0, radius=np.inf)
+    straight = act("walk", person, 4.0, 50.0, radius=np.inf)
     motion = np.linalg.norm(soles(person, straight.rotations, straight.joints)[1][..., :2], axis=-1) * 50
     assert np.median(motion.min(1)) < 0.15 * speed.mean()
     assert np.percentile(motion.min(1), 95) < 0.5 * speed.mean()

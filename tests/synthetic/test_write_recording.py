@@ -25,7 +25,7 @@ def test_a_recording_that_loads(written):
     assert (len(r.rig), r.n_frames, r.frame_rate) == (5, 10, 25.0)
     (note,) = r.notes  # says what the files were taken for, and nothing else
     assert note.startswith("Key points: OpenPose files, BODY_25 (stated)")
-    assert r.keypoint_set == "BODY_25" and all(v.background and v.keypoints for v in r.views)
+    assert r.keypoint_set == "BODY_25" and all({"background", "keypoints"} <= v.files.keys() for v in r.views)
     assert steps[-1] == (75, 75)
     for written_camera, camera in zip(r.rig, scene.given_rig, strict=True):
         # stored to the even size of the video, otherwise the same camera

@@ -13,7 +13,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
 from hypose.synthetic.scenes import camera_rig
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 FrameOf = Callable[..., Frame]
 

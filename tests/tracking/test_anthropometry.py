@@ -14,10 +14,11 @@ from benchmarks.papers.layered_anthropometry import (
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import contour_term
-from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.subject_from_motion import (
+from hypose.pipeline.subject import (
     AnthropometryOptions,
+    SubjectOptions,
     estimate_subject,
+    find_subject,
     load_subject,
     save_subject,
 )

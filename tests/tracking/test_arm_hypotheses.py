@@ -5,10 +5,9 @@ import pytest
 
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.recipes import default
-from hypose.tracking.refinement import RIVAL, SOLVED
+from hypose.tracking.refinement import RIVAL, SOLVED, uncertainty_of_pose
 from hypose.tracking.tracker import (
     Tracker,
     TrackerSettings,

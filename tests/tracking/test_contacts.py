@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.tracking.contacts import Contacts, ContactSettings, find_contacts, foot_motion
+from hypose.tracking.smoothing import Contacts, ContactSettings, find_contacts, foot_motion
 
 RATE = 25.0
 

@@ -11,11 +11,9 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
-from hypose.tracking.cue_weights import weigh_against_masks
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.frame_evidence import keypoint_model, prepare
+from hypose.tracking.keypoint_offsets import calibrate_keypoints, weigh_against_masks
+from hypose.tracking.start_search import scaled_to_height
 
 N = 6
 

@@ -8,7 +8,7 @@ from hypose.evidence.cues import MEASURED
 from hypose.tracking.arm_hypotheses import LookedUp, rival_arms
 from hypose.tracking.arm_workspace import arm_reach, in_practice
 from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY = human()

@@ -8,9 +8,8 @@ from hypose.evidence.cues import NO_DEPTH, NO_KEYPOINTS, NO_SILHOUETTES
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting import Quadratic, SolveSettings, fit_pose
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.starts import known_pose
+from hypose.tracking.frame_evidence import keypoint_model, prepare
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
 BODY, RIG = human(), sensors(2)

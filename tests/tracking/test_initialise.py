@@ -5,8 +5,7 @@ import pytest
 
 from hypose.errors import EvidenceError
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import start_from_hull
-from hypose.tracking.starts import recover, start_from_keypoints
+from hypose.tracking.start_search import recover, start_from_hull, start_from_keypoints
 from tests.tracking.measures import joint_error
 
 

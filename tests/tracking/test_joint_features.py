@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import keypoint_model, prepare
 from hypose.tracking.joint_features import AUDITED, audit_frame
-from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.refinement import SETTLING, refine
-from hypose.tracking.starts import start_from_keypoints
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height, start_from_keypoints
 
 
 @pytest.fixture(scope="module")

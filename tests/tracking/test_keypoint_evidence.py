@@ -8,8 +8,7 @@ import pytest
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import check_sides_and_views, keypoint_model, pixels_per_metre
+from hypose.tracking.frame_evidence import check_sides_and_views, keypoint_model, pixels_per_metre, prepare
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 
 LEGS = ("hip", "knee", "ankle")

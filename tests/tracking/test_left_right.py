@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BODY_25
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.frame_evidence import keypoint_model, prepare
 from hypose.tracking.left_right import limbs_exchanged, look_for_exchange
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
 

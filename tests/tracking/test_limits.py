@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BODY_25B
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smoothing import smooth_motion
 from hypose.tracking.tracker import Tracker, motion_of

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BODY_25
-from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.frame_evidence import keypoint_model
+from hypose.tracking.keypoint_clip import LIMBS, exchanged_by_names, track_keypoint_clip
 from hypose.tracking.left_right import limbs_exchanged
-from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from tests.tracking.test_keypoint_evidence import seen_by
 
 RATE, FRAMES = 25.0, 40

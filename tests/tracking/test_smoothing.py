@@ -9,9 +9,9 @@ from hypose.body.motion import Motion, isotropic
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
 from hypose.evidence.terms import PointTerm
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.pose_covariance import packed
+from hypose.tracking.refinement import packed
 from hypose.tracking.smoothing import ClipSettings, smooth_motion, smooth_poses
 from tests.tracking.test_keypoint_evidence import seen_by
 

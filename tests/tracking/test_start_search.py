@@ -12,8 +12,8 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.left_right import turn_pose
 from hypose.tracking.start_search import _ONE_ARM, _TOGETHER, postures, starts_in_frame, weigh_starts
-from hypose.tracking.starts import turn_pose
 
 POSTURES = [f"{legs}, arms {arms}" for legs, all_ in _TOGETHER for arms in all_] + [
     f"{legs}, {side} arm {arm}" for legs in ("standing", "sitting") for arm in _ONE_ARM for side in ("left", "right")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BODY_25B
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_clip import track_keypoint_clip
-from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.recipes import recipe
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height
 from hypose.tracking.tracker import Tracker
 from tests.tracking.measures import joint_error
 from tests.tracking.test_keypoint_evidence import seen_by

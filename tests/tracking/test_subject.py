@@ -6,9 +6,10 @@ import pytest
 from hypose.body.body import Shape, deform
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import keypoint_names
-from hypose.pipeline.subject_from_motion import with_outlines
-from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.subject import KeypointSubject, scaled_to_height, subject_from_keypoints
+from hypose.pipeline.subject import with_outlines
+from hypose.tracking.frame_evidence import keypoint_model
+from hypose.tracking.start_search import scaled_to_height
+from hypose.tracking.subject import KeypointSubject, subject_from_keypoints
 
 
 @pytest.mark.parametrize("height", [0.2, 170.0])

@@ -8,7 +8,7 @@ import pytest
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.tracking.covariance_calibration import lasting_residuals
-from hypose.tracking.keypoint_evidence import keypoint_model, pixels_per_metre
+from hypose.tracking.frame_evidence import keypoint_model, pixels_per_metre
 
 RATE, FRAMES = 25.0, 60
 

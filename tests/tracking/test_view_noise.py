@@ -8,7 +8,7 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25B, other_sides
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.frame_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import LARGEST, view_factors
 from tests.tracking.test_keypoint_evidence import seen_by
 

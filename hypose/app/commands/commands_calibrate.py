@@ -24,8 +24,8 @@ from hypose.calibration.from_points import PointCalibration, calibrate_from_poin
 from hypose.calibration.views import count_corners, find_sources
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.evidence.held_points import without_held
 from hypose.evidence.keypoints import keypoint_names, person_size
+from hypose.evidence.one_person import without_held
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import check_toml, write_calibration
@@ -213,10 +213,10 @@ def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, 
     if few.keypoint_set is None:
         kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
         found = detected(kept, few.frames, yes=yes, why="--from-person")
-        views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
+        views = tuple(replace(v, files={**v.files, "keypoints": found.view(v.name)}) for v in few.views)
         few = replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
     names = keypoint_names(str(few.keypoint_set))
-    people = candidates_of(few, few.rig) or []
+    people = candidates_of(few, few.rig)
     points = np.zeros((len(few.views), len(few.frames), len(names), 3))
     for c, view in enumerate(points):
         for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):

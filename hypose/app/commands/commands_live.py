@@ -34,7 +34,7 @@ def live(c: LiveCommand) -> None:
         from hypose.pipeline.live.capture import CaptureOptions
         from hypose.pipeline.live.live_people import LivePersonOptions
         from hypose.pipeline.live.live_rig import live_rig
-        from hypose.pipeline.subject_from_motion import load_subject
+        from hypose.pipeline.subject import load_subject
         from hypose.pipeline.track_options import TrackOptions
     if ended.is_set():
         raise Exit(130)

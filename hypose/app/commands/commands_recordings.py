@@ -104,7 +104,8 @@ def silhouettes(
         from hypose.app.jobs.person_job import detected
 
         found = detected(loaded, loaded.frames, yes=yes, why="--detector")
-        loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
+        views = (replace(v, files={**v.files, "masks": found.masks(v.name)}) for v in loaded.views)
+        loaded = replace(loaded, views=tuple(views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
         with FrameStream(loaded, progress=progress) as source:
@@ -236,7 +237,8 @@ def keypoints(
     what = "Key points and masks" if found.with_masks else "Key points"
     say(f"{what}: {found.folder} ({found.keypoint_set}, one folder per view)")
     own = loaded.folder / KEYPOINT_FOLDER
-    named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
+    stated = [v.files["keypoints"].absolute() for v in loaded.views if "keypoints" in v.files]
+    named = any(own.absolute() not in path.parents for path in stated)
     if target.absolute() == own.absolute() and not named:
         say(f"To use them: hypose track {recording} --evidence both")
         return
@@ -304,7 +306,7 @@ def warm_up_command(threads: Threads = None) -> None:
     from hypose.app.jobs.job import job_of, run_job
     from hypose.compute.compiled import VARIABLE, cache_folder
     from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
-    from hypose.fusion.live import LiveFuser
+    from hypose.fusion.people import LiveFuser
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 

@@ -112,7 +112,7 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     Returns: paths of the files.
     """
     from hypose.app.reports.report_parts import cycle_chart
-    from hypose.io.motions.c3d import joint_residuals, write_c3d
+    from hypose.io.motions.marker_files import joint_residuals, write_c3d
     from hypose.pipeline.gait import PERCENT, angle_cycles
 
     start = float(motion.times[0])

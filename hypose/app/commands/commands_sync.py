@@ -154,7 +154,7 @@ def _by_motion_within(
     Raises: EvidenceError where the motion does not determine the delays.
     """
     seen = observe_recording(recording, max(frames, math.ceil(4 * largest)), progress)
-    points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
+    points = undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
         raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
@@ -168,8 +168,7 @@ def _by_motion_within(
         f"sd {s:.2f}" if known else "no motion in common with the others"
         for s, known in zip(found.sd, reported, strict=True)
     ]
-    total = points[0].shape[1] if points is not None else len(seen.silhouettes)
-    reach = offsets_within(largest, total)
+    reach = offsets_within(largest, max(seen.keypoints.shape[1], len(seen.silhouettes)))
     ended = at_the_end(found, reach)
     if ended:
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
@@ -186,9 +185,9 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
     """
     sounds = []
     for view in recording.views:
-        if view.video is None:
+        if "video" not in view.files:
             raise InputError(f"View {view.name} has no video and so no sound; use --by motion.")
-        sounds.append(read_sound(view.video))
+        sounds.append(read_sound(view.files["video"]))
     seconds, peaks = offsets_from_sound(sounds, [v.name for v in recording.views], largest)
     return [float(x) * recording.frame_rate for x in seconds], [f"peak {p:.0f} sd" for p in peaks]
 
@@ -220,25 +219,30 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     with stream:
         source = Resampled(stream, late)
         named = zip(recording.views, stream.rig, strict=True)
-        masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
+        masks = {
+            k: mask_folder(folder / "masks", v.name, c) for k, (v, c) in enumerate(named) if "depth" not in v.files
+        }
         for i in each(progress, "masks", range(len(source))):
             write_frame_masks(source.frame(i).the(Silhouettes), masks, i)
     people = _people(raw_person(recording))
     views = []
     for c, view in enumerate(recording.views):
-        keypoints = None
-        if people and view.keypoints is not None:
-            keypoints = folder_for(folder / "keypoints", view.name)
+        files = dict[str, Path]()
+        if people and "keypoints" in view.files:
+            files["keypoints"] = keypoints = folder_for(folder / "keypoints", view.name)
             for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
                 write_text(
                     keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps(openpose_document(shown)) + "\n"
                 )
-        if view.depth is not None:
-            maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
-            views.append(replace(view, depth=maps, keypoints=keypoints))
-            continue
-        video = None if view.source is None else _video_in_step(view, recording, late[c], folder / "videos")
-        views.append(replace(view, video=video, images=None, background=None, masks=masks[c], keypoints=keypoints))
+        if c in masks:
+            files["masks"] = masks[c]
+            if view.source is not None:
+                files["video"] = _video_in_step(view, recording, late[c], folder / "videos")
+        else:
+            own = folder_for(folder / "depth", view.name)
+            files |= {k: view.files[k] for k in view.files.keys() & {"background"}}
+            files["depth"] = _depth_in_step(view.files["depth"], recording.frames, late[c], own)
+        views.append(replace(view, files=files))
     first, stop = math.ceil(max(0.0, -min(late))), len(recording.frames) - math.ceil(max(0.0, *late))
     made = replace(
         recording,
@@ -294,13 +298,11 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
     return folder
 
 
-def _people(found: RecordedPerson | None) -> list[Array]:
+def _people(found: RecordedPerson) -> list[Array]:
     """Collect the key points (C, T, K, 3) px of the calibrated pictures: first of the main person, then of others seen
     by several views; empty without key points.
     """
-    if found is None:
-        return []
-    out = [found.raw]
+    out = [found.raw] if found.keypoints else []
     for one in found.one.people[1:]:
         raw = np.zeros_like(found.raw)
         raw[:, one.first : one.last + 1] = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)

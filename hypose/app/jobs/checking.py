@@ -206,12 +206,13 @@ def print_cameras(recording: Recording) -> None:
             with open_pictures(view) as reader:
                 size, frames = f"{reader.size[0]}x{reader.size[1]}", str(reader.n_frames)
                 rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
-        room = "from the recording" if not view.masks else "-"
+        files = {"background": "-" if "masks" in view.files else "from the recording", "masks": "-"}
+        files |= {kind: _name(path) for kind, path in view.files.items()}
         x, y, z = camera.position
         rows.append((
             *(view.name, camera.name, _name(view.source), size, f"{camera.size[0]}x{camera.size[1]}", rate, frames),
-            *(_name(view.masks), _name(view.background) if view.background else room),
-            f"{_name(view.keypoints)} ({recording.keypoint_set})" if view.keypoints else "-",
+            *(files["masks"], files["background"]),
+            f"{files['keypoints']} ({recording.keypoint_set})" if "keypoints" in files else "-",
             f"{x:.2f} {y:.2f} {z:.2f}",
         ))  # fmt: skip
     print_table(title, (*columns, "position (m)"), rows)

@@ -29,12 +29,12 @@ from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.assessment import later, list_changes, trace_of, with_trace
 from hypose.pipeline.one_camera import FrameSource
-from hypose.pipeline.person_paths import per_frame
 from hypose.pipeline.recorded_frames import frames_wanted
 from hypose.pipeline.run import track_source
-from hypose.pipeline.trace import later, list_changes, trace_of, with_trace
+from hypose.pipeline.subject import GIVEN, SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.track_management import per_frame
 from hypose.pipeline.track_options import TrackOptions
 
 _READ_AT_ONCE = 64

@@ -14,9 +14,9 @@ from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.io.motions.results import load_result_body
 from hypose.io.recordings.frames import FrameSettings, FrameStream
+from hypose.pipeline.assessment import trace_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.trace import trace_of
-from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.frame_evidence import keypoint_model
 
 
 def explain_joint(results: Path, joint: str, frame: int) -> list[str]:
@@ -78,7 +78,7 @@ def _evidence(motion: Motion, body: Body, folder: Path, row: int, frame: int, jo
     lines = [said]
     with contextlib.suppress(HyposeError):  # without the recording there is less to say
         if (recording := find_recording(folder)) is not None and motion.poses is not None:
-            with FrameStream(recording, FrameSettings(silhouettes=None)) as stream:
+            with FrameStream(recording, FrameSettings(masks=False)) as stream:
                 points = stream.frame(frame - recording.frames.start).keypoints
             if points is not None and joint in points.names:
                 k = points.names.index(joint)

@@ -30,8 +30,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
-from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView
-from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
 from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker

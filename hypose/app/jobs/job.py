@@ -37,10 +37,11 @@ from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
+from hypose.geometry import runs
 from hypose.io.files import check_writable, claimed
-from hypose.io.motions.c3d import joint_residuals, write_c3d
+from hypose.io.motions.animation import write_people_glb
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.gltf import write_people_glb
+from hypose.io.motions.marker_files import joint_residuals, write_c3d
 from hypose.io.motions.results import (
     ResultsFolder,
     load_body,
@@ -55,17 +56,15 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
-from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.passes import MODES
-from hypose.pipeline.person_paths import KnownPerson, said_of_places
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
 from hypose.pipeline.run import PeopleResult, TrackResult, track_people
-from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.subject import SubjectOptions, load_subject, subject_file
 from hypose.pipeline.track import chosen_people, keypoint_people, track_person, wanted_of
+from hypose.pipeline.track_management import KnownPerson, said_of_places
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
 if TYPE_CHECKING:
@@ -235,8 +234,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     if options.looks_at == "keypoints":
         return ("solver", *depth)
     # a given body is not fitted to outlines
-    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
-    return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
+    masks = ("solver", *depth, "scorer", "outlines")
+    return masks if all("masks" in view.files for view in recording.views) else (*masks, "pictures")
 
 
 def _track(

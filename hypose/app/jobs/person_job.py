@@ -34,13 +34,13 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
 from hypose.pipeline.mesh_subject import subject_from_mesh
 from hypose.pipeline.recorded_frames import check_views
-from hypose.pipeline.subject_from_motion import (
+from hypose.pipeline.subject import (
     AnthropometryOptions,
     SubjectEstimate,
     estimate_subject,
     save_subject,
 )
-from hypose.tracking.starts import KNOWN_POSES
+from hypose.tracking.start_search import KNOWN_POSES
 
 
 def measure_subject(c: SubjectCommand) -> None:

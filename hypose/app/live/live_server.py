@@ -29,7 +29,7 @@ from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same
 from hypose.errors import InputError, visible
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import LiveFrame, LiveFuser
+from hypose.fusion.people import LiveFrame, LiveFuser
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line

@@ -40,7 +40,7 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     cured: measured faults, of which the lag of the key points is used.
     Returns: picture; None without key points, with fewer than three cameras, or without pictures.
     """
-    if observed.keypoints is None or len(recording.rig) < 3:
+    if not observed.names or len(recording.rig) < 3:
         return None
     few = window(recording, observed.keypoints.shape[1])
     row = int(np.argmax((observed.keypoints[..., 2] > 0.5).sum(2).min(0)))

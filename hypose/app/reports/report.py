@@ -36,10 +36,9 @@ from hypose.body.motion import Motion, sd_per_axis
 from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.pipeline.assessment import GOOD, UNTRUSTED
+from hypose.pipeline.assessment import GOOD, UNTRUSTED, trace_of
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.trace import trace_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
@@ -66,7 +65,7 @@ def drawn_of(result: ViewResult) -> OverlayRows:
     recording = replace(recording, frame_range=(frames.start, frames.stop))
     settings = motion.provenance.get("settings")
     masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
-    with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
+    with FrameStream(recording, None if masks else FrameSettings(masks=False)) as stream:
         return write_overlay("", recording, stream, [Shown("", motion, body)], wanted)
 
 
@@ -174,9 +173,8 @@ def _head(what: ViewResult) -> str:
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
     about = [f"recipe {recipe}", f"hypose {__version__}"]
     with contextlib.suppress(OSError, StopIteration):
-        files = (
-            v.source or v.masks or v.depth or v.keypoints for v in (what.recording.views if what.recording else ())
-        )
+        views = () if what.recording is None else what.recording.views
+        files = (v.source or v.files.get("masks") or v.files["keypoints"] for v in views)
         written = time.localtime(next(filter(None, files)).stat().st_mtime)
         about.insert(0, time.strftime("files of %Y-%m-%d", written))
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")

@@ -39,8 +39,7 @@ from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
 from hypose.tracking.monocular.settings import body_dofs
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.starts import start_from_keypoints
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height, start_from_keypoints
 
 CLICK_JOINTS: Mapping[str, str] = {
     "head_top": "Top of the head",

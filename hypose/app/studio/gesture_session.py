@@ -45,8 +45,7 @@ from hypose.gestures.model import check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
 from hypose.io.files import read_bytes, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
-from hypose.synthetic.gesture_people import load_people
-from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_people import GESTURES, load_people
 
 PHASES = ("do_gesture", "positive", "release", "negative")
 """Phases of a training session, in their order."""

@@ -219,7 +219,7 @@ def next_step(
         person = len(views) > 1 and recording.subject_height is not None and not board_files(folder)
         return ("calibrate", {"yes": True}) if person and after != "calibrate" else None
     if len(views) > 1:
-        bare = all(v.video and not (v.masks or v.background or v.keypoints or v.depth) for v in views)
+        bare = all(set(v.files) == {"video"} for v in views)
         if bare and after != "keypoints":
             return "keypoints", {"yes": True}
         late = found_offsets(folder, [v.name for v in views])
@@ -231,10 +231,10 @@ def next_step(
     if check is None or check["stale"]:
         return ("check", {}) if after != "check" else None
     named = zip(views, recording.rig.names, strict=True)
-    masked = {name for v, camera in named if v.masks for name in (v.name, camera)}
+    masked = {name for v, camera in named if "masks" in v.files for name in (v.name, camera)}
     if after == "track" or (not anyway and any(_waits_for_user(f, masked) for f in check.get("findings", []))):
         return None
-    detected = any(v.keypoints for v in views)
+    detected = any("keypoints" in v.files for v in views)
     subject = (folder / "subject" / "subject.toml").is_file()
     return "track", {"evidence": "both" if detected else "silhouettes", "subject": subject}
 

@@ -262,10 +262,8 @@ class Recordings:
                     "name": v.name,
                     "camera": c.name,
                     "video": v.source.name if v.source else None,
-                    **{
-                        k: p.name if (p := getattr(v, k)) else None
-                        for k in ("background", "masks", "keypoints", "depth")
-                    },
+                    **dict.fromkeys(("background", "masks", "keypoints", "depth")),
+                    **{k: p.name for k, p in v.files.items() if k not in ("video", "images")},
                 }
                 for v, c in zip(r.views, r.rig, strict=True)
             ],
@@ -305,14 +303,14 @@ class Recordings:
             full = r.rig[view]
             w = min(width, full.size[0])
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            image = opened.undistorted(view, frame, small) if r.views[view].source else None
-            mask = None if shown == "none" else opened.mask(view, frame, options)
-        if image is None:
-            if mask is None:
+            if r.views[view].source is None and shown == "none":
                 raise NotFound(f"{camera} has masks only, no pictures.")
-            image = np.full((*mask.shape, 3), 40, np.uint8)
-        picture = image if mask is None else _draw_mask(image, mask, shown)
-        return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+            masked = [] if shown == "none" else [opened.mask(view, frame, options)]
+            image = opened.undistorted(view, frame, small) if r.views[view].source else None
+        for person in masked:
+            image = _draw_mask(np.full((*person.shape, 3), 40, np.uint8) if image is None else image, person, shown)
+        assert image is not None
+        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""

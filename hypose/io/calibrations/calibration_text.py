@@ -33,12 +33,15 @@ import yaml
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, so3_log
-from hypose.io.calibrations.calibration_camera import (
+from hypose.io.calibrations.camera_tables import (
     MAX_FILE_BYTES,
     RigFile,
+    add_cameras,
     as_numbers,
+    strange_keys,
+    tables_of,
+    unit_of,
 )
-from hypose.io.calibrations.camera_tables import add_cameras, strange_keys, tables_of, unit_of
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import open_file, read_bytes, read_json, read_toml, toml_key, toml_lines, write_text
 from hypose.io.formats import Source
@@ -185,12 +188,8 @@ class _Loader(_SafeLoader):
     """Loader for plain YAML with OpenCV's tags and numbers (1., .5, 1e-05, .Nan)."""
 
 
-def _tagged(loader: Any, node: Any) -> Any:
-    return loader.construct_mapping(node, deep=True)
-
-
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _tagged)
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|[-+]?\.(nan|Nan|NaN|inf|Inf)$"),

@@ -26,13 +26,14 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import InputError, extra
-from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
+from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_systems import read_plain_pickle
+from hypose.io.calibrations.calibration_formats import read_plain_pickle
 from hypose.io.file_names import last_number
 from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
+from hypose.json_text import parse_json
 
 # ---- keypoint table ------------------------------------------------------------------------------------------------
 # The table that every reader of 2D key points returns for one camera, and common checks of numbers from files.
@@ -107,6 +108,44 @@ def checked_people(values: Any, where: str) -> Array:
         raise InputError(f"{where}: a key point is infinite; export it again.")
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
+
+
+def parse_openpose(document: str | bytes | Mapping[str, Any], source: str = "The key-point file") -> Array:
+    """Read the people of one OpenPose-style JSON document.
+
+    source: name of the file in error messages.
+    Returns: (P, K, 3) u px, v px, score. A point at (0, 0), or without finite position and score, is missing: 0.
+    Raises: InputError where it is no such document.
+    """
+    if isinstance(document, (str, bytes)):
+        try:
+            document = parse_json(document)
+        except (ValueError, RecursionError) as problem:
+            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
+    found = document.get("people") if isinstance(document, Mapping) else None
+    found = [] if found == {} else found  # some writers write an empty list so
+    if not isinstance(found, list):
+        raise InputError(
+            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the OpenPose '
+            "format."
+        )
+    people = []
+    for number, person in enumerate(found):
+        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
+        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
+        if flat is None and person != {}:
+            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
+        try:
+            values = np.array([] if flat is None else flat, dtype=np.float64).reshape(-1, 3)
+        except (TypeError, ValueError):
+            raise InputError(
+                f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only, three for each point; export '
+                "it again."
+            ) from None
+        people += [values] if len(values) else []
+    if len({len(p) for p in people}) > 1:
+        raise InputError(f"{source}: the people have different numbers of key points.")
+    return checked_people(people, source)
 
 
 def scores_from_variance(points: Array, variance: Array) -> Array:
@@ -185,57 +224,41 @@ def whole_number(value: Any, where: str, what: str) -> int:
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
 
 
-def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
-    """Find DeepLabCut's columns of each individual.
-
-    columns: individual, body part and coordinate of each column.
-    where: file, for the error messages.
-    Returns: per individual, each body part with the indices of its columns x, y, likelihood, and of the variances of x
-        and y where all parts have them. Individuals whose body parts are not those of the individual with the most
-        parts are left out (the points that DeepLabCut calls "single").
-    Raises: InputError where x, y or likelihood of a part is missing.
-    """
-    people: dict[str, dict[str, dict[str, int]]] = {}
-    for i, (individual, part, coordinate) in enumerate(columns):
-        people.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
-    out: dict[str, list[tuple[str, list[int]]]] = {}
-    every = [set(at) for parts in people.values() for at in parts.values()]
-    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in every)), ())
-    for individual, parts in people.items():
-        for part, at in parts.items():
-            if not {"x", "y", "likelihood"} <= at.keys():
-                raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
-            out.setdefault(individual, []).append((part, [at[c] for c in ("x", "y", "likelihood", *variances)]))
-    names = [tuple(p for p, _ in parts) for parts in out.values()]
-    return {k: v for k, v in out.items() if {p for p, _ in v} == set(max(names, key=len))}  # not the single points
-
-
 def deeplabcut_table(
     columns: Sequence[tuple[str, ...]], numbers: Sequence[int], values: Array, where: str
 ) -> KeypointTable:
     """Build the table of key points from DeepLabCut's columns.
 
-    columns: individual, body part and coordinate of each column.
-    numbers: T frame numbers.
-    values: (T, columns), px and likelihood; NaN for empty cells.
-    where: file, for the error messages.
-    Raises: InputError where there are no individuals, no frames or too many, or the columns are not understood.
+    columns: individual ("" where there is one), body part and coordinate (x, y, likelihood, ...) of each column.
+    numbers: (T,) number of each frame.
+    values: (T, columns) px and likelihoods.
+    where: file, for messages.
+    Points that are no parts of an individual are left out. Where all points have variances, they weigh the points.
     """
-    people = by_individual(columns, where)
-    if not people or not 0 < len(numbers) <= MAX_POINT_FRAMES:
-        raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
-    names = tuple(p for p, _ in next(iter(people.values())))
-    places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
-    whole = values[:, places]
-    spread = places.shape[2] == 5
-    points = scores_from_variance(whole[..., :3], whole[..., 3:]) if spread else whole
-    found = {n: _seen(checked_people(row, f"{where}, frame {n}")) for n, row in zip(numbers, points, strict=True)}
-    return KeypointTable("DeepLabCut", found, min(found), names, spread=spread)
+    parts: dict[str, dict[str, dict[str, int]]] = {}
+    for i, (individual, part, coordinate) in enumerate(columns):
+        parts.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
+    for part, at in ((part, at) for own in parts.values() for part, at in own.items()):
+        if not {"x", "y", "likelihood"} <= at.keys():
+            raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
+    if not parts or not 0 < len(numbers) <= MAX_POINT_FRAMES:
+        raise InputError(f"{where} has {len(parts)} individuals and {len(numbers)} frames; analyse the video again.")
+    names = tuple(max(parts.values(), key=len))
+    people = [own for own in parts.values() if own.keys() == set(names)]  # not the single points
+    found = [set(at) for own in parts.values() for at in own.values()]
+    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in found)), ())
+    wanted = ("x", "y", "likelihood", *variances)
+    whole = values[:, np.array([[[own[n][c] for c in wanted] for n in names] for own in people])]  # (T, P, K, 3 or 5)
+    points = scores_from_variance(whole[..., :3], whole[..., 3:]) if variances else whole
+    return KeypointTable(
+        "DeepLabCut", _people_of_frames(numbers, points, where), min(numbers), names, spread=bool(variances)
+    )
 
 
-def _seen(people: Array) -> Array:
-    """Select the people with at least one detected point."""
-    return people[(people[..., 2] > 0).any(1)] if people.size else people
+def _people_of_frames(numbers: Iterable[int], points: Array, where: str) -> dict[int, Array]:
+    """Check the key points (T, P, K, 3) of numbered frames; people without any detected point are left out."""
+    checked = {n: checked_people(row, f"{where}, frame {n}") for n, row in zip(numbers, points, strict=True)}
+    return {n: people[(people[..., 2] > 0).any(1)] if people.size else people for n, people in checked.items()}
 
 
 def _deeplabcut(source: Source) -> KeypointTable:
@@ -465,7 +488,7 @@ def _alphapose_frames(source: Source) -> KeypointTable:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
         if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
-        people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
+        people[number] = parse_openpose(frame, f"{where}, frame {name}")
     first = 0 if _counted(source.document) else None
     return KeypointTable("AlphaPose results (form open or cmu)", people, first)
 
@@ -506,13 +529,16 @@ def _first_holds(source: Source, key: str) -> bool:
 
 
 def _openpose(source: Source) -> KeypointTable:
-    numbered = numbered_files(source.files(".json"))
-    timed = read_document(source.files(".json")[0]).get("program") == "hypose"
-    return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose_people), timed=timed)
+    def read(path: Path) -> Array:
+        return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), str(path))
 
-
-def _one_frame(source: Source) -> KeypointTable:
-    raise InputError(f"{source.path} holds the people of one frame; name the folder that has one such file per frame.")
+    files = source.files(".json")
+    if not source.path.is_dir():
+        raise InputError(
+            f"{source.path} holds the people of one frame; name the folder that has one such file per frame."
+        )
+    timed = read_document(files[0]).get("program") == "hypose"
+    return KeypointTable("OpenPose files", _FrameFiles(numbered_files(files), read), timed=timed)
 
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
@@ -526,10 +552,6 @@ def numbered_files(paths: list[Path]) -> dict[int, Path]:
     if None in numbers or len(set(numbers)) < len(numbers):
         return dict(enumerate(paths))
     return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
-
-
-def _openpose_people(path: Path) -> Array:
-    return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
 
 
 def _easymocap(source: Source) -> KeypointTable:
@@ -629,19 +651,15 @@ def _h5(source: Source) -> Iterator[Any]:
         raise InputError(f"{source.path} cannot be read as HDF5 ({reason}); export the key points again.") from None
 
 
-def _h5_group(file: Any) -> str | None:
-    """Find the name of DeepLabCut's table."""
+def _h5_holds(source: Source, wanted: Callable[[Any], Any]) -> bool:
+    """Test whether an HDF5 file fulfils a condition; wanted: function of the opened file."""
+    with _h5(source) as file:
+        return bool(wanted(file))
+
+
+def _deeplabcut_group(file: Any) -> str | None:
+    """Find the name of DeepLabCut's table in an HDF5 file."""
     return next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
-
-
-def _is_sleap_h5(source: Source) -> bool:
-    with _h5(source) as file:
-        return "tracks" in file and "node_names" in file
-
-
-def _is_deeplabcut_h5(source: Source) -> bool:
-    with _h5(source) as file:
-        return _h5_group(file) is not None
 
 
 def _sized(dataset: Any, where: str) -> Any:
@@ -671,7 +689,7 @@ def _sleap_h5(source: Source) -> KeypointTable:
     scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
     confidence = scores if scores is not None and scored else np.ones((people, len(names), frames))
     points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence.transpose(2, 0, 1)[..., None]], axis=-1)
-    found = {t: _seen(checked_people(frame, where)) for t, frame in enumerate(points)}
+    found = _people_of_frames(range(frames), points, where)
     return KeypointTable("SLEAP analysis", found, 0, names, scored=scored)
 
 
@@ -679,7 +697,7 @@ def _deeplabcut_h5(source: Source) -> KeypointTable:
     """Read the table that pandas stored, in its format "table" or "fixed"."""
     where = str(source.path)
     with _h5(source) as file:
-        group = file[_h5_group(file)]
+        group = file[_deeplabcut_group(file)]
         if "table" in group:
             table = _sized(group["table"], where)
             block = next(n for n in table.dtype.names if n.startswith("values_block"))
@@ -729,13 +747,18 @@ KEYPOINTS = FormatTable(
             _alphapose_frames,
             lambda source: _all_hold(source, "people", "bodies"),
         ),
-        Format("OpenPose (one frame)", (".json",), _one_frame, lambda source: _lists(source, "people")),
+        Format("OpenPose (one frame)", (".json",), _openpose, lambda source: _lists(source, "people")),
         Format("DeepLabCut, Lightning Pose", (".csv",), _deeplabcut, lambda source: source.header[0] == "scorer"),
         Format("Caliscope", (".csv",), _caliscope, lambda source: "sync_index" in source.header),
         Format("SLEAP", (".csv",), _sleap, lambda source: "frame_idx" in source.header),
         Format("FreeMoCap", (".npy",), _freemocap),
-        Format("SLEAP", (".h5", ".hdf5"), _sleap_h5, _is_sleap_h5),
-        Format("DeepLabCut", (".h5", ".hdf5"), _deeplabcut_h5, _is_deeplabcut_h5),
+        Format(
+            "SLEAP",
+            (".h5", ".hdf5"),
+            _sleap_h5,
+            lambda source: _h5_holds(source, lambda file: "tracks" in file and "node_names" in file),
+        ),
+        Format("DeepLabCut", (".h5", ".hdf5"), _deeplabcut_h5, lambda source: _h5_holds(source, _deeplabcut_group)),
     ),
     read_document,
 )

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
-from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.evidence.keypoints import IMPLAUSIBLE, KEYPOINT_SETS, arranged, bone_excess, keypoint_names, set_of_points
 from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
@@ -131,7 +130,7 @@ def keypoints_of_views(
         if table is not None and table.names is None and len(sample):
             alike.setdefault(sample.shape[1], []).append(sample)
     out: list[ViewKeypoints | None] = []
-    found: list[str] = []
+    found: list[tuple[str, str]] = []
     for path, name, table, sample in zip(paths, names, tables, samples, strict=True):
         view = None
         if path is not None and table is not None and len(sample):
@@ -140,7 +139,7 @@ def keypoints_of_views(
                 view, how = _reported(path, table, first, sample, alike.get(sample.shape[1], []), stated)
             except InputError as problem:
                 raise InputError(f"View {name}, key points {path}: {problem}") from None
-            found.append(_sentence(name, view, how))
+            found.append((name, _described(view, how)))
         out.append(view)
     sets = {n: v.keypoint_set for n, v in zip(names, out, strict=True) if v is not None}
     if len(set(sets.values())) > 1:
@@ -154,7 +153,9 @@ def keypoints_of_views(
             for p, t, v in zip(paths, tables, out, strict=True)
         ]
     notes = [f"The key points of {', '.join(empty)} show no person."] if empty else []
-    return out, notes + _together(found)
+    if len({text for _, text in found}) == 1:
+        return out, [*notes, f"Key points: {found[0][1]}."]
+    return out, notes + [f"Key points of {name}: {text}." for name, text in found]
 
 
 def _of_view(
@@ -229,8 +230,8 @@ def _reported(
     return ViewKeypoints(path, table, kind, first, scale), how
 
 
-def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
-    """Describe the key points of a view as a note: its name, a colon, and what was assumed. how: as of `_reported`."""
+def _described(view: ViewKeypoints, how: str) -> str:
+    """Describe what was assumed of the key points of a view, for a note. how: as of `_reported`."""
     table = view.table
     parts = [f"{table.layout}, {view.keypoint_set} ({how})"]
     if not table.scored:
@@ -244,15 +245,7 @@ def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
     if table.shares:
         parts.append("positions as shares of the picture")
     parts.append(f"its frame {view.first} is the video's first")
-    return f"{name}: " + ", ".join(parts)
-
-
-def _together(found: Sequence[str]) -> list[str]:
-    """Combine the notes to one sentence where all views are alike; one per view otherwise."""
-    bodies = [f.split(": ", 1)[1] for f in found]
-    if len(set(bodies)) == 1:
-        return [f"Key points: {bodies[0]}."]
-    return [f"Key points of {f}." for f in found]
+    return ", ".join(parts)
 
 
 def check_keypoints(

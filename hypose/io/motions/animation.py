@@ -7,16 +7,25 @@ Axes: file (x, y, z) = world (x, z, -y). The body then faces +z of the file, as 
 
 from __future__ import annotations
 
+import json
+import struct
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import continuous_euler_zxy
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
+from hypose.body.skin_weights import vertex_normals
+from hypose.compute.arrays import FIXED
 from hypose.errors import InputError
-from hypose.geometry import Array
-from hypose.io.files import write_text
+from hypose.geometry import Array, quaternion_from_matrix
+from hypose.io.files import write_bytes, write_text
 
 # file_from_world
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -69,11 +78,6 @@ def without_flips(quaternions: Array) -> Array:
     return np.concatenate([quaternions[:1], quaternions[1:] * flips[:, None]])
 
 
-def children(skeleton: Skeleton, joint: int) -> list[int]:
-    """List the indices of a joint's children."""
-    return [int(c) for c in np.flatnonzero(skeleton.parents == joint)]
-
-
 # ---- bvh -----------------------------------------------------------------------------------------------------------
 # BVH animation: the skeleton with Euler channels, centimetres, Y up (axes: see the module).
 #
@@ -98,7 +102,13 @@ def write_bvh(path: str | Path, motion: Motion) -> None:
     order: list[int] = []
     lines = ["HIERARCHY"]
     _joint(skeleton, 0, 0, lines, order)
-    channels = _channels(skeleton, poses, order)
+    local = local_joint_rotations(skeleton, poses)[:, order]
+    # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
+    # their twist
+    root = continuous_euler_zxy(local[:, :1], prior_axis=1)
+    euler = np.concatenate([root, continuous_euler_zxy(local[:, 1:])], axis=1)
+    position = skeleton.forward(poses)[1][:, 0] @ Y_UP.T * _CM
+    channels = np.concatenate([position, np.degrees(euler).reshape(len(poses), -1)], axis=1)
     lines += ["MOTION", f"Frames: {len(poses)}", f"Frame Time: {1 / motion.frame_rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in channels.tolist()]
     write_text(path, "\n".join(lines) + "\n")
@@ -123,42 +133,297 @@ def _joint(skeleton: Skeleton, j: int, depth: int, lines: list[str], order: list
         f"{indent}\tOFFSET {_vector(offset)}",
         f"{indent}\tCHANNELS {position} Zrotation Xrotation Yrotation",
     ]
-    below = children(skeleton, j)
+    below = np.flatnonzero(skeleton.parents == j).tolist()
     for child in below:
         _joint(skeleton, child, depth + 1, lines, order)
     if not below:
-        end = f"{indent}\t"
-        lines += [f"{end}End Site", f"{end}{{", f"{end}\tOFFSET {_vector(_end(skeleton, j))}", f"{end}}}"]
+        end, name = f"{indent}\t", skeleton.joint_names[j]
+        # a hand goes on in the forearm's direction
+        model = _UP if name == "head" else _FORWARD if name.endswith("ankle") else 0.5 * skeleton.rest_offsets[j]
+        lines += [f"{end}End Site", f"{end}{{", f"{end}\tOFFSET {_vector(Y_UP @ model * _CM)}", f"{end}}}"]
     lines.append(f"{indent}}}")
-
-
-def _end(skeleton: Skeleton, j: int) -> Array:
-    """Compute the offset (3,), cm, from joint j, the last of its limb, to the end of its bone, in the file's axes."""
-    name = skeleton.joint_names[j]
-    if name == "head":
-        model = _UP
-    elif name.endswith("ankle"):
-        model = _FORWARD
-    else:  # a hand goes on in the forearm's direction
-        model = 0.5 * skeleton.rest_offsets[j]
-    return Y_UP @ model * _CM
-
-
-def _channels(skeleton: Skeleton, poses: Array, order: list[int]) -> Array:
-    """Compute the channels (T, 3 + 3 J) of all frames: the root's position, cm, and the Euler angles Z X Y, degrees.
-
-    poses: (T, D) pose vectors.
-    order: numbers of the joints in the order of their channels.
-    """
-    local = local_joint_rotations(skeleton, poses)[:, order]
-    # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
-    # their twist
-    root = continuous_euler_zxy(local[:, :1], prior_axis=1)
-    euler = np.concatenate([root, continuous_euler_zxy(local[:, 1:])], axis=1)
-    _, centres = skeleton.forward(poses)
-    position = centres[:, 0] @ Y_UP.T * _CM
-    return np.concatenate([position, np.degrees(euler).reshape(len(poses), -1)], axis=1)
 
 
 def _vector(v: Array) -> str:
     return " ".join(f"{x:.6f}" for x in v)
+
+
+# ---- gltf ----------------------------------------------------------------------------------------------------------
+# GLB files (binary glTF 2.0): writes the fine mesh, skinned and animated, in metres with Y up; reads skinned meshes.
+#
+# Mesh, joints and motion are all rotated to Y-up, so no node has a correcting rotation and the skinned mesh is a root
+# node, as the specification recommends. Node defaults are the rest pose at the origin. Rotations are quaternions,
+# interpolated between frames; the root has a translation as well. All numbers are float32.
+# Source: Khronos glTF 2.0 specification, sections 3.6 (accessors), 3.7.3 (skins), 3.11 (animations).
+
+
+# numbers of the specification
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER, _TRIANGLES = 34962, 34963, 4
+_COMPONENTS = {"f4": 5126, "u1": 5121, "u4": 5125}
+_SKIN = {
+    "pbrMetallicRoughness": {"baseColorFactor": [0.80, 0.66, 0.56, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8},
+    "emissiveFactor": [0.0, 0.0, 0.0],
+    "alphaMode": "OPAQUE",
+    "doubleSided": False,
+    "name": "skin",
+}
+
+
+def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
+    """Write the motion of a body as a GLB file; frames without a pose repeat the last one.
+
+    Raises: InputError where the motion has no poses or its skeleton is not that of the body.
+    """
+    write_people_glb(path, [("", motion, body)])
+
+
+def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
+    """Write the motions of several people as one GLB file with one animation.
+
+    people: name, motion and body of each person. Nodes are named NAME.JOINT, or JOINT where the name is "".
+    Raises: InputError as `write_glb`.
+    """
+    store = _BinaryBuffer()
+    nodes: list[dict[str, Any]] = []
+    roots: list[int] = []
+    meshes: list[dict[str, Any]] = []
+    skins: list[dict[str, Any]] = []
+    whole: dict[str, Any] = {"name": "motion", "channels": [], "samplers": []}
+    for person, motion, body in people:
+        prefix = person and f"{person}."
+        poses = filled_poses(motion, path)
+        skeleton, first = motion.skeleton, len(nodes)
+        if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(
+            skeleton.rest_offsets, body.skeleton.rest_offsets, atol=1e-6
+        ):
+            raise InputError(f"{path}: the motion's skeleton is not the body's; give the body that was tracked.")
+        joints = len(skeleton.joint_names)
+        for j, name in enumerate(skeleton.joint_names):
+            at = (Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0]
+            below = (first + np.flatnonzero(skeleton.parents == j)).tolist()
+            node = {"rotation": [0.0, 0.0, 0.0, 1.0], "translation": at, "children": below, "name": f"{prefix}{name}"}
+            nodes.append({k: v for k, v in node.items() if v})
+        nodes.append({"mesh": len(meshes), "skin": len(skins), "name": f"{prefix}{body.name}"})
+        roots += [first, first + joints]
+        rest = (skeleton.rest_joints - skeleton.rest_joints[0]) @ Y_UP.T
+        inverse = np.tile(np.eye(4), (joints, 1, 1))
+        inverse[:, :3, 3] = -rest
+        # glTF matrices are stored column by column
+        matrices = store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4")
+        nodes_of_skin = list(range(first, first + joints))
+        skin = {
+            "inverseBindMatrices": matrices,
+            "skeleton": first,
+            "joints": nodes_of_skin,
+            "name": f"{prefix}skeleton",
+        }
+        skins.append(skin)
+        meshes.append({"primitives": [_primitive(store, body.fine, joints)], "name": f"{prefix}{body.name}"})
+        _animate(whole, store, motion, poses, first)
+    document = {
+        "accessors": store.accessors,
+        "animations": [whole],
+        "asset": {"generator": "hypose", "version": "2.0"},
+        "bufferViews": store.views,
+        "buffers": [{"byteLength": len(store.data)}],
+        "materials": [_SKIN],
+        "meshes": meshes,
+        "nodes": nodes,
+        "scene": 0,
+        "scenes": [{"name": "motion", "nodes": roots}],
+        "skins": skins,
+    }
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    parts = [text + b" " * (-len(text) % 4), bytes(store.data) + bytes(-len(store.data) % 4)]
+    file = struct.pack("<4sII", b"glTF", 2, 12 + sum(8 + len(p) for p in parts))
+    for kind, part in zip((b"JSON", b"BIN\0"), parts, strict=True):
+        file += struct.pack("<I4s", len(part), kind) + part
+    write_bytes(path, file)
+
+
+class _BinaryBuffer:
+    """The binary buffer of a GLB file, with one view and one accessor per array."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, int]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
+        """Append an array whose rows are the elements; float64 is stored as float32.
+
+        values: (N, ...) the elements.
+        kind: type of an element: SCALAR, VEC3, VEC4 or MAT4.
+        target: use of the array, a number of the specification; None where it needs none.
+        limits: store the smallest and largest values, as the specification requires for positions and times.
+        Returns: number of its accessor.
+        """
+        array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
+        self.data.extend(b"\0" * (-len(self.data) % 4))  # accessors start at multiples of their component size
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
+        component = _COMPONENTS[array.dtype.str[1:]]
+        accessor = {"bufferView": len(self.views), "byteOffset": 0, "componentType": component, "normalized": False}
+        accessor |= {"count": len(array), "type": kind}
+        if limits:
+            flat = array.reshape(len(array), -1)
+            accessor |= {"max": flat.max(0).tolist(), "min": flat.min(0).tolist()}
+        self.data.extend(array.tobytes())
+        self.views.append(view if target is None else view | {"target": target})
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
+    """Store a skinned mesh, with the four largest weights of each vertex, and describe it. joints: their number."""
+    vertices = mesh.vertices @ Y_UP.T
+    # a vertex must not name a joint twice, and unused slots must name joint 0
+    dense = mesh.dense_weights(joints)
+    index = np.argsort(-dense, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(dense, index, 1)
+    index = np.where(weights > 0, index, 0).astype(np.uint8)
+    weights = weights / weights.sum(1, keepdims=True)
+    attributes = {
+        "POSITION": store.add(vertices, "VEC3", _ARRAY_BUFFER, limits=True),
+        "NORMAL": store.add(vertex_normals(vertices, mesh.faces), "VEC3", _ARRAY_BUFFER),
+        "JOINTS_0": store.add(index, "VEC4", _ARRAY_BUFFER),
+        "WEIGHTS_0": store.add(weights, "VEC4", _ARRAY_BUFFER),
+    }
+    indices = store.add(mesh.faces.astype("<u4").ravel(), "SCALAR", _ELEMENT_ARRAY_BUFFER)
+    return {"attributes": attributes, "indices": indices, "mode": _TRIANGLES, "material": 0}
+
+
+def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
+    """Add the motion of a skeleton to an animation.
+
+    whole: the animation, which is extended.
+    store: buffer of the file.
+    poses: (T, D) pose vectors of `motion`, without gaps.
+    first: number of the node of the skeleton's root.
+    """
+    skeleton = motion.skeleton
+    # frames at equal steps: time stamps of real files may repeat, which glTF forbids
+    times = np.arange(len(poses)) / motion.frame_rate
+    clock = store.add(times, "SCALAR", limits=True)
+    local = local_joint_rotations(skeleton, poses)
+
+    def channel(node: int, what: str, values: Array, kind: str) -> None:
+        target = {"node": first + node, "path": what}
+        whole["channels"].append({"sampler": len(whole["samplers"]), "target": target})
+        output = store.add(values, kind)
+        whole["samplers"].append({"input": clock, "interpolation": "LINEAR", "output": output})
+
+    _, centres = skeleton.forward(poses)
+    channel(0, "translation", centres[:, 0] @ Y_UP.T, "VEC3")
+    for j in np.flatnonzero(skeleton.tree.kind != FIXED):
+        wxyz = without_flips(quaternion_from_matrix(local[:, j]))
+        channel(int(j), "rotation", wxyz[:, [1, 2, 3, 0]], "VEC4")
+
+
+# ---- gltf skin -----------------------------------------------------------------------------------------------------
+# Skinned meshes of GLB files: positions, joints at bind time and weights (Khronos glTF 2.0, section 3.7.3).
+
+
+_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+Skinned = tuple[Array, NDArray[np.int32], tuple[str, ...], NDArray[np.int64], Array, Array]
+
+
+def read_skin(data: bytes, where: str) -> Skinned | None:
+    """Read the first skinned mesh of a GLB file, in the mesh's space at bind time.
+
+    data: content of the file.
+    where: name of the file in error messages.
+    Returns: vertices (V, 3), faces (F, 3), n joint names, parents (n,), joint centres (n, 3), weights (V, n); None
+        without a skinned mesh.
+    Raises: InputError where the file is damaged or compressed.
+    """
+    from pygltflib import GLTF2
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # its warnings become an error below
+            gltf = GLTF2.load_from_bytes(data)
+        if gltf is None or not gltf.skins:
+            return None
+        blob = gltf.binary_blob()
+        if blob is None:
+            raise ValueError("it has no binary part")
+        return _skin(gltf, blob)
+    except Exception as error:  # noqa: BLE001 - a damaged file may fail in any step of the reader
+        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        raise InputError(
+            f"{where} cannot be read as a skinned GLB ({reason}); export it again, uncompressed."
+        ) from None
+
+
+def _skin(gltf: Any, blob: bytes) -> Skinned | None:
+    """Collect the triangles, weights and joints of the first skin of a document.
+
+    gltf: the document, as pygltflib reads it.
+    blob: binary part of the file.
+    Returns: as `read_skin`.
+    Raises: ValueError and others where the document is damaged.
+    """
+    users = [n for n in gltf.nodes if n.skin is not None and n.mesh is not None]
+    if not users:
+        return None
+    number = users[0].skin
+    skin = gltf.skins[number]
+    nodes = list(skin.joints)
+    inverse = _array(gltf, blob, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
+    if len(inverse) != len(nodes):
+        raise ValueError("the skin has another number of matrices than of joints")
+    joints = np.linalg.inv(inverse)[:, :3, 3].astype(np.float64)
+    parent_node = {c: k for k, n in enumerate(gltf.nodes) for c in n.children or []}
+    place = {node: k for k, node in enumerate(nodes)}
+    parents = []
+    for node in nodes:
+        up, steps = parent_node.get(node), 0
+        while up is not None and up not in place and steps < len(gltf.nodes):
+            up, steps = parent_node.get(up), steps + 1
+        parents.append(place.get(up, -1) if up is not None else -1)
+    names = tuple(gltf.nodes[k].name or f"joint_{k}" for k in nodes)
+    points, faces, weights, count = [], [], [], 0
+    for user in (u for u in users if u.skin == number):
+        for primitive in gltf.meshes[user.mesh].primitives:
+            a = primitive.attributes
+            if a.JOINTS_0 is None or a.WEIGHTS_0 is None or primitive.mode not in (None, 4):
+                continue
+            v = _array(gltf, blob, a.POSITION)
+            index = np.arange(len(v)) if primitive.indices is None else _array(gltf, blob, primitive.indices).ravel()
+            w = np.zeros((len(v), len(nodes)))
+            for j, x in ((a.JOINTS_0, a.WEIGHTS_0), (getattr(a, "JOINTS_1", None), getattr(a, "WEIGHTS_1", None))):
+                if j is not None and x is not None:
+                    which = _array(gltf, blob, j).astype(np.int64)
+                    np.add.at(w, (np.arange(len(v))[:, None], which), _array(gltf, blob, x))
+            points.append(v)
+            faces.append(index.astype(np.int64).reshape(-1, 3) + count)
+            weights.append(w)
+            count += len(v)
+    if not points:
+        return None
+    f = np.concatenate(faces).astype(np.int32)
+    return np.concatenate(points), f, names, np.array(parents, dtype=np.int64), joints, np.concatenate(weights)
+
+
+def _array(gltf: Any, blob: bytes, number: int) -> Array:
+    """Read an array as float64 (count, columns); normalised integers become fractions.
+
+    gltf, blob: as for `_skin`.
+    number: number of its accessor.
+    Raises: ValueError where it is compressed, in another file, or reaches beyond the end of the file.
+    """
+    a = gltf.accessors[number]
+    if a.bufferView is None or a.sparse is not None:
+        raise ValueError("sparse or compressed data")
+    view = gltf.bufferViews[a.bufferView]
+    if view.buffer != 0:
+        raise ValueError("its data lie in another file")
+    dtype, columns = np.dtype(_DTYPES[a.componentType]), _COLUMNS[a.type]
+    step = view.byteStride or dtype.itemsize * columns
+    start = (view.byteOffset or 0) + (a.byteOffset or 0)
+    if a.count < 1 or start < 0 or start + step * (a.count - 1) + dtype.itemsize * columns > len(blob):
+        raise ValueError("an array reaches beyond the end of the file")
+    raw = np.ndarray((a.count, columns), dtype, blob, start, (step, dtype.itemsize)).astype(np.float64)
+    return raw / np.iinfo(dtype).max if a.normalized and dtype.kind in "iu" else raw

@@ -14,12 +14,14 @@ from hypose.body.motion import Motion, region_reach
 from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
 from hypose.io.formats import Format, FormatTable
-from hypose.io.motions.animation import write_bvh
-from hypose.io.motions.c3d import joint_residuals, read_c3d, write_c3d
+from hypose.io.motions.animation import write_bvh, write_glb
 from hypose.io.motions.marker_files import (
+    joint_residuals,
+    read_c3d,
     read_mot,
     read_trc,
     write_angles_csv,
+    write_c3d,
     write_joints_csv,
     write_mot,
     write_trc,
@@ -45,6 +47,8 @@ def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
 
     Raises: InputError where rerun-sdk is not installed.
     """
+    from scipy.spatial.transform import Rotation  # takes long to import
+
     rr = rerun_module()
     skeleton = motion.skeleton
     bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
@@ -70,7 +74,9 @@ def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
                 rr.Points3D(joints[seen], colors=[colour] * len(names), radii=_RADIUS, labels=names, show_labels=False),
             )
             known = seen & np.isfinite(motion.joint_covariance[t]).all((1, 2))
-            stream.log("person/regions_90", _regions(rr, joints[known], reach[t, known], axes[t, known], colour))
+            turns = Rotation.from_matrix(axes[t, known]).as_quat() if known.any() else np.zeros((0, 4))
+            where = {"centers": joints[known], "half_sizes": reach[t, known], "quaternions": turns}
+            stream.log("person/regions_90", rr.Ellipsoids3D(**where, colors=[(*colour, 90)] * int(known.sum())))
             if motion.poses is not None and np.isfinite(motion.poses[t]).all():
                 mesh = rr.Mesh3D(
                     vertex_positions=body.skin(motion.poses[t]), triangle_indices=body.coarse.faces, albedo_factor=_SKIN
@@ -78,21 +84,6 @@ def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
                 stream.log("person/body", mesh)
         stream.flush()
         stream.disconnect()
-
-
-def _regions(rr: Any, centres: np.ndarray, reach: np.ndarray, axes: np.ndarray, colour: tuple[int, int, int]) -> Any:  # noqa: ANN401 (an archetype of rerun)
-    """Make the ellipsoids of the joints' 90 % regions.
-
-    rr: the package of Rerun.
-    centres: (N, 3) m.
-    reach: (N, 3) half axes, m.
-    axes: (N, 3, 3) directions of the half axes, as columns.
-    colour: red, green, blue, 0 to 255.
-    """
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.from_matrix(axes).as_quat() if len(axes) else np.zeros((0, 4))
-    return rr.Ellipsoids3D(centers=centres, half_sizes=reach, quaternions=turns, colors=[(*colour, 90)] * len(centres))
 
 
 def rerun_module() -> Any:  # noqa: ANN401 (a module)
@@ -108,21 +99,6 @@ def _in_one_file(name: str, write: Callable[[Path, Motion, Body], None]) -> Call
         return [folder / name]
 
     return written
-
-
-def _trc(path: Path, motion: Motion, body: Body) -> None:
-    start = float(motion.times[0])
-    write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
-
-
-def _c3d(path: Path, motion: Motion, body: Body) -> None:
-    write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, joint_residuals(motion))
-
-
-def _glb(path: Path, motion: Motion, body: Body) -> None:
-    from hypose.io.motions.gltf import write_glb  # takes long to import
-
-    write_glb(path, motion, body)
 
 
 def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
@@ -164,14 +140,24 @@ MOTION_FILES = FormatTable(
             "trc",
             (".trc",),
             lambda source: read_trc(source.path),
-            write=_in_one_file("motion.trc", _trc),
+            write=_in_one_file(
+                "motion.trc",
+                lambda path, motion, _: write_trc(
+                    path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, float(motion.times[0])
+                ),
+            ),
             precision=1e-7,
         ),
         Format(
             "c3d",
             (".c3d",),
             lambda source: read_c3d(source.path),
-            write=_in_one_file("motion.c3d", _c3d),
+            write=_in_one_file(
+                "motion.c3d",
+                lambda path, motion, _: write_c3d(
+                    path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, joint_residuals(motion)
+                ),
+            ),
             limits="32-bit floats of millimetres; at most 65 535 frames",
             precision=1e-6,
         ),
@@ -181,7 +167,7 @@ MOTION_FILES = FormatTable(
             write=_in_one_file("motion.bvh", lambda path, motion, _: write_bvh(path, motion)),
             limits=_POSES,
         ),
-        Format("glb", (".glb",), write=_in_one_file("motion.glb", _glb), limits=_POSES),
+        Format("glb", (".glb",), write=_in_one_file("motion.glb", write_glb), limits=_POSES),
         Format("csv", (".csv",), write=_csv, limits="six digits"),
         Format(
             "mot", (".mot", ".sto"), lambda source: read_mot(source.path), write=_mot, limits=_POSES, precision=1e-8

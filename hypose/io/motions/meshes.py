@@ -83,7 +83,7 @@ def read_person(path: str | Path) -> PersonMesh:
         return _read_smpl(p)
     data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".glb":
-        from hypose.io.motions.gltf import read_skin
+        from hypose.io.motions.animation import read_skin
 
         skinned = read_skin(data, str(p))
         if skinned is not None:
@@ -135,22 +135,22 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
 
     Raises: InputError where it is no surface, too coarse, too large, or has indices or numbers that cannot be.
     """
-    v, f, source = mesh.vertices, mesh.faces.astype(np.int64), mesh.source
-    if len(v) < MIN_VERTICES or len(f) < MIN_VERTICES:
-        kind = "a point cloud" if len(v) >= MIN_VERTICES else "too coarse"
-        raise InputError(
-            f"{source} has {len(v)} vertices and {len(f)} faces and is {kind}; a person needs a surface of at least "
-            f"{MIN_VERTICES} vertices and faces: export the scan as a mesh."
-        )
-    if len(f) > MAX_FACES:
-        raise InputError(f"{source} has {len(f)} faces, at most {MAX_FACES} are read; decimate the scan first.")
-    if not np.isfinite(v).all():
-        bad = int((~np.isfinite(v).all(1)).sum())
-        raise InputError(f"{source} has {bad} vertices that are not finite; repair the scan and export it again.")
-    if f.min() < 0 or f.max() >= len(v):
-        raise InputError(f"{source} has {len(v)} vertices but a face refers to vertex {int(f.max())}; export it again.")
-    if mesh.rig is not None and not (np.isfinite(mesh.rig.weights).all() and np.isfinite(mesh.rig.joints).all()):
-        raise InputError(f"{source}: its joints or weights are not finite; export it again.")
+    v, f, source, rig = mesh.vertices, mesh.faces.astype(np.int64), mesh.source, mesh.rig
+    kind = "a point cloud" if len(v) >= MIN_VERTICES else "too coarse"
+    bad, last = int((~np.isfinite(v).all(1)).sum()), int(f.max(initial=0))
+    faults = {
+        f"has {len(v)} vertices and {len(f)} faces and is {kind}; a person needs a surface of at least {MIN_VERTICES} "
+        "vertices and faces: export the scan as a mesh": len(v) < MIN_VERTICES or len(f) < MIN_VERTICES,
+        f"has {len(f)} faces, at most {MAX_FACES} are read; decimate the scan first": len(f) > MAX_FACES,
+        f"has {bad} vertices that are not finite; repair the scan and export it again": bad > 0,
+        f"has {len(v)} vertices but a face refers to vertex {last}; export it again": (
+            last >= len(v) or f.min(initial=0) < 0
+        ),
+        "has joints or weights that are not finite; export it again": rig is not None
+        and not (np.isfinite(rig.weights).all() and np.isfinite(rig.joints).all()),
+    }
+    if found := [fault for fault, there in faults.items() if there]:
+        raise InputError(f"{source} {found[0]}.")
     return mesh
 
 

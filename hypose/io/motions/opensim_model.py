@@ -19,7 +19,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from hypose.body.anthropometry import SegmentMass, segment_masses
+from hypose.body.anthropometry import segment_masses
 from hypose.body.body import Body
 from hypose.body.joint_angles import (
     BODY_AXES,
@@ -46,14 +46,7 @@ _TRUNK = {
     "torso": ("spine", ("spine", "chest", "left_clavicle", "right_clavicle")),
     "head": ("neck", ("neck", "head")),
 }
-_LIMBS = {
-    "femur": ("hip", "pelvis"),
-    "tibia": ("knee", "femur"),
-    "calcn": ("ankle", "tibia"),
-    "humerus": ("shoulder", "torso"),
-    "ulna": ("elbow", "humerus"),
-    "hand": ("wrist", "ulna"),
-}
+_LIMBS = {"femur": "hip", "tibia": "knee", "calcn": "ankle", "humerus": "shoulder", "ulna": "elbow", "hand": "wrist"}
 
 
 def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], Array]:
@@ -120,7 +113,7 @@ class _Writer:
         self.origin = {name: joint for name, (joint, _) in _TRUNK.items()}
         carried = {name: joints for name, (_, joints) in _TRUNK.items()}
         for s, side, _ in _SIDES:
-            for name, (joint, _) in _LIMBS.items():
+            for name, joint in _LIMBS.items():
                 self.origin[f"{name}_{s}"] = f"{side}_{joint}"
                 carried[f"{name}_{s}"] = (f"{side}_{joint}",)
         self.segment_of = {joint: name for name, joints in carried.items() for joint in joints}
@@ -145,96 +138,76 @@ class _Writer:
         model = put(root, "Model", children=about, name=name)
         bodies = put(put(model, "BodySet", name="bodyset"), "objects")
         for segment, m in self.masses.items():
-            self.segment(bodies, segment, m)
-        joints = put(put(model, "JointSet", name="jointset"), "objects")
-        self.trunk(joints)
-        for s, side, sign in _SIDES:
-            self.leg(joints, s, side, sign)
-            self.arm(joints, s, side, sign)
-        markers = put(put(model, "MarkerSet", name="markerset"), "objects")
-        self.markers(markers)
+            turn = BODY_AXES @ self.neutral[self.origin[segment]]
+            inertia = turn @ m.inertia @ turn.T
+            six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+            values = {"mass": [m.mass], "mass_center": self.local(segment, m.centre[None])[0], "inertia": six}
+            put(bodies, "Body", children={tag: _numbers(v) for tag, v in values.items()}, name=segment)
+        self.joints(put(put(model, "JointSet", name="jointset"), "objects"))
+        self.markers(put(put(model, "MarkerSet", name="markerset"), "objects"))
         return root
 
-    def segment(self, parent: Xml.Element, name: str, m: SegmentMass) -> None:
-        turn = BODY_AXES @ self.neutral[self.origin[name]]
-        inertia = turn @ m.inertia @ turn.T
-        six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        values = {"mass": [m.mass], "mass_center": self.local(name, m.centre[None])[0], "inertia": six}
-        put(parent, "Body", children={tag: _numbers(v) for tag, v in values.items()}, name=name)
-
-    def trunk(self, joints: Xml.Element) -> None:
-        turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
+    def joints(self, joints: Xml.Element) -> None:
+        """Add all joints: of the trunk, and of the legs and arms of both sides."""
         moves = [(f"pelvis_t{a}", e) for a, e in zip("xyz", (_X, _Y, _Z), strict=True)]
+        turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
         _joint(joints, "ground_pelvis", "/ground", "pelvis", np.zeros(3), turn, moves)
-        for joint, parent, child in (("lumbar", "pelvis", "torso"), ("neck", "torso", "head")):
-            names = (
-                f"{joint}_extension" if joint == "lumbar" else "neck_flexion",
-                f"{joint}_bending",
-                f"{joint}_rotation",
-            )
-            turn = list(zip(names, (_Z, _X, _Y), strict=True))
-            _joint(joints, joint, f"/bodyset/{parent}", child, self.place(parent, child), turn)
+        self.joint(joints, "lumbar", "pelvis", "torso", _ball("lumbar_extension lumbar_bending lumbar_rotation"))
+        self.joint(joints, "neck", "torso", "head", _ball("neck_flexion neck_bending neck_rotation"))
+        for s, side, sign in _SIDES:
+            femur, tibia, calcn, humerus, ulna, hand = (f"{name}_{s}" for name in _LIMBS)
+            turn = _ball(f"hip_flexion_{s} hip_adduction_{s} hip_rotation_{s}", sign)
+            self.joint(joints, f"hip_{s}", "pelvis", femur, turn)
+            self.hinge(joints, f"knee_{s}", f"knee_angle_{s}", femur, tibia)
+            # the ankle's third angle is not free: it keeps its value at rest
+            rest = BODY_AXES @ self.neutral[f"{side}_knee"] @ BODY_AXES.T
+            fixed = float(continuous_euler_zxy(rest[None, None])[0, 0, 2])
+            ankle = [(f"ankle_angle_{s}", _Z), (f"subtalar_angle_{s}", sign * _X), (fixed, _Y)]
+            self.joint(joints, f"ankle_{s}", tibia, calcn, ankle)
+            self.shoulder(joints, s, side, _ball(f"arm_flex_{s} arm_add_{s} arm_rot_{s}", sign))
+            self.hinge(joints, f"elbow_{s}", f"elbow_flex_{s}", humerus, ulna)
+            wrist = [(f"pro_sup_{s}", sign * _Y), (f"wrist_flex_{s}", _Z), (f"wrist_dev_{s}", sign * _X)]
+            self.joint(joints, f"wrist_{s}", ulna, hand, wrist, locked=True)
+
+    def joint(
+        self, joints: Xml.Element, name: str, parent: str, child: str, turn: Sequence, locked: bool = False
+    ) -> None:
+        """Add a joint in which the segment `child` turns at its place in the segment `parent`; turn: as of `_joint`."""
+        _joint(joints, name, f"/bodyset/{parent}", child, self.place(parent, child), turn, locked=locked)
+
+    def hinge(self, joints: Xml.Element, name: str, angle: str, parent: str, child: str) -> None:
+        """Add a hinge, whose `angle` is limited, in rad from the straight limb."""
+        joint, s = self.origin[child], self.skeleton
+        axis = BODY_AXES @ self.neutral[self.origin[parent]] @ hinge_axis(s, joint)
+        d, offset = s.dofs_of(joint)[0], straight_offset(s, joint)
+        limits = {angle: (float(s.lower[d] + offset), float(s.upper[d] + offset))}
+        place = self.place(parent, child)
+        _joint(joints, name, f"/bodyset/{parent}", child, place, [(angle, axis)], limits=limits)
 
     def place(self, parent: str, child: str) -> Array:
         """Compute the origin (3,) of the segment `child` at rest, in the frame of the segment `parent`, m."""
         return self.local(parent, self.skeleton.rest_joints[self.skeleton.joint(self.origin[child])][None])[0]
 
-    def ball(self, names: Sequence[str], sign: float) -> list[tuple[str, Array]]:
-        return list(zip(names, (_Z, sign * _X, sign * _Y), strict=True))
+    def shoulder(self, joints: Xml.Element, s: str, side: str, turn: Sequence) -> None:
+        """Add a shoulder: turns, and the motion of its centre by the clavicle.
 
-    def hinge(self, joint: str, above: str) -> Array:
-        """Compute the axis (3,) of a hinge joint in the frame of the segment above it."""
-        return BODY_AXES @ self.neutral[self.origin[above]] @ hinge_axis(self.skeleton, joint)
-
-    def leg(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
-        femur, tibia, calcn = (f"{n}_{s}" for n in ("femur", "tibia", "calcn"))
-        turn = self.ball([f"hip_{a}_{s}" for a in ("flexion", "adduction", "rotation")], sign)
-        _joint(joints, f"hip_{s}", "/bodyset/pelvis", femur, self.place("pelvis", femur), turn)
-        knee = [(f"knee_angle_{s}", self.hinge(f"{side}_knee", femur))]
-        limits = {knee[0][0]: self.limits(f"{side}_knee")}
-        _joint(joints, f"knee_{s}", f"/bodyset/{femur}", tibia, self.place(femur, tibia), knee, limits=limits)
-        # the ankle's third angle is not free: it keeps its value at rest
-        rest = BODY_AXES @ self.neutral[f"{side}_knee"] @ BODY_AXES.T
-        fixed = float(continuous_euler_zxy(rest[None, None])[0, 0, 2])
-        ankle = [(f"ankle_angle_{s}", _Z), (f"subtalar_angle_{s}", sign * _X), (fixed, _Y)]
-        _joint(joints, f"ankle_{s}", f"/bodyset/{tibia}", calcn, self.place(tibia, calcn), ankle)
-
-    def limits(self, joint: str) -> tuple[float, float]:
-        """Compute the lower and upper limit of a hinge, rad from the straight limb."""
-        d = self.skeleton.dofs_of(joint)[0]
-        offset = straight_offset(self.skeleton, joint)
-        return float(self.skeleton.lower[d] + offset), float(self.skeleton.upper[d] + offset)
-
-    def arm(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
-        humerus, ulna, hand = (f"{n}_{s}" for n in ("humerus", "ulna", "hand"))
-        turn = self.ball([f"arm_{a}_{s}" for a in ("flex", "add", "rot")], sign)
-        free = f"shoulder_{s}_tx", f"shoulder_{s}_ty"
-        place, (sideways, limits) = self.place("torso", humerus), self.sideways(side)
-        sideways[0] += place[2]
-        moves = [(free[0], _X, place[0]), (free[1], _Y, place[1]), (free, _Z, sideways)]
-        limits = dict(zip(free, limits, strict=True))
-        _joint(joints, f"shoulder_{s}", "/bodyset/torso", humerus, np.zeros(3), turn, moves, limits)
-        elbow = [(f"elbow_flex_{s}", self.hinge(f"{side}_elbow", humerus))]
-        limits = {elbow[0][0]: self.limits(f"{side}_elbow")}
-        _joint(joints, f"elbow_{s}", f"/bodyset/{humerus}", ulna, self.place(humerus, ulna), elbow, limits=limits)
-        wrist = [(f"pro_sup_{s}", sign * _Y), (f"wrist_flex_{s}", _Z), (f"wrist_dev_{s}", sign * _X)]
-        where = self.place(ulna, hand)
-        _joint(joints, f"wrist_{s}", f"/bodyset/{ulna}", hand, where, wrist, locked=True)
-
-    def sideways(self, side: str) -> tuple[Array, list[tuple[float, float]]]:
-        """Fit a polynomial to the shoulder's sideways motion, which follows from the clavicle's constant length.
-
-        Returns: coefficients (21,) of the motion to the right (m) as a function of the motion forwards and up (m), and
-            the ranges of these two, m.
+        s, side: short and long name of the side.
+        turn: as of `_joint`.
+        The centre moves freely forwards and up; its sideways motion, which follows from the clavicle's constant length,
+        is a polynomial of these two.
         """
-        s = self.skeleton
-        ranges = [np.linspace(s.lower[d], s.upper[d], 13) for d in s.dofs_of(f"{side}_clavicle")]
+        skeleton = self.skeleton
+        ranges = [np.linspace(skeleton.lower[d], skeleton.upper[d], 13) for d in skeleton.dofs_of(f"{side}_clavicle")]
         y, z = (g.ravel() for g in np.meshgrid(*ranges))
-        a, b, c = _moved(s, side, y, z).T
+        a, b, c = _moved(skeleton, side, y, z).T
         powers = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
         design = np.stack([a**i * b**j for i, j in powers], axis=1)
-        found = np.asarray(np.linalg.lstsq(design, c, rcond=None)[0], dtype=np.float64)
-        return found, [(float(x.min()), float(x.max())) for x in (a, b)]
+        law = np.asarray(np.linalg.lstsq(design, c, rcond=None)[0], dtype=np.float64)
+        place, free = self.place("torso", f"humerus_{s}"), (f"shoulder_{s}_tx", f"shoulder_{s}_ty")
+        law[0] += place[2]
+        moves = [(free[0], _X, place[0]), (free[1], _Y, place[1]), (free, _Z, law)]
+        limits = {name: (float(x.min()), float(x.max())) for name, x in zip(free, (a, b), strict=True)}
+        _joint(joints, f"shoulder_{s}", "/bodyset/torso", f"humerus_{s}", np.zeros(3), turn, moves, limits)
 
     def markers(self, parent: Xml.Element) -> None:
         s, marks = self.skeleton, self.body.landmarks
@@ -245,6 +218,11 @@ class _Writer:
             place = _numbers(self.local(segment, point[None])[0])
             about = {"socket_parent_frame": f"/bodyset/{segment}", "location": place, "fixed": "false"}
             put(parent, "Marker", children=about, name=name)
+
+
+def _ball(names: str, sign: float = 1.0) -> list[tuple[str, Array]]:
+    """List the three named angles of a ball joint with their axes; sign: -1 for the left side."""
+    return list(zip(names.split(), (_Z, sign * _X, sign * _Y), strict=True))
 
 
 def _joint(
@@ -288,22 +266,16 @@ def _joint(
         about = {"socket_parent": frame, "translation": _numbers(where), "orientation": "0 0 0"}
         put(frames, "PhysicalOffsetFrame", children=about, name=f"{name}_{suffix}")
     transform = put(joint, "SpatialTransform")
-    axes = _completed([axis for _, axis in turn])
+    axes = [axis for _, axis in turn]
+    if len(axes) == 1:  # completed to three independent ones
+        across = np.asarray(np.cross(axes[0], np.eye(3)[np.abs(axes[0]).argmin()]), dtype=np.float64)
+        axes += [across, np.asarray(np.cross(axes[0], across), dtype=np.float64)]
     for k in range(3):
         free = turn[k][0] if k < len(turn) else 0.0
         _axis(transform, f"rotation{k + 1}", free, axes[k])
     for k, axis in enumerate((_X, _Y, _Z)):
         free, along, *law = moves[k] if moves else (0.0, axis)
         _axis(transform, f"translation{k + 1}", free, along, *law)
-
-
-def _completed(axes: list[Array]) -> list[Array]:
-    """Complete a list of axes to three independent ones."""
-    if len(axes) == 3:
-        return axes
-    (first,) = axes
-    across = np.asarray(np.cross(first, np.eye(3)[np.abs(first).argmin()]), dtype=np.float64)
-    return [first, across, np.asarray(np.cross(first, across), dtype=np.float64)]
 
 
 def _axis(

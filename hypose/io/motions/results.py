@@ -15,7 +15,7 @@ import re
 import sys
 import zipfile
 import zlib
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -305,12 +305,8 @@ def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
     return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
 
 
-def _texts(names: Sequence[str]) -> np.ndarray:
-    return np.array(names, dtype=np.str_).reshape(len(names))
-
-
 def _stored_skeleton(skeleton: Skeleton) -> dict[str, np.ndarray]:
-    names = {name: _texts(getattr(skeleton, name)) for name in _NAMES}
+    names = {name: np.array(getattr(skeleton, name), dtype=np.str_).reshape(-1) for name in _NAMES}
     return _stored(skeleton, _SKELETON) | names
 
 
@@ -466,7 +462,8 @@ def load_result(path: Path) -> Motion:
 def _first_difference(stored: Any, current: Any, where: str = "") -> str:
     """Describe the first difference of two nested tables by its keys and both values; empty where they are equal."""
     if not (isinstance(stored, dict) and isinstance(current, dict)):
-        return "" if stored == current else f"{where} was {_short(stored)} then and is {_short(current)} now"
+        texts = [t if len(t := json.dumps(v)) <= 40 else t[:37] + "..." for v in (stored, current)]
+        return "" if stored == current else f"{where} was {texts[0]} then and is {texts[1]} now"
     for key in sorted(set(stored) | set(current)):
         name = f"{where}.{key}" if where else key
         if key not in stored or key not in current:
@@ -474,11 +471,6 @@ def _first_difference(stored: Any, current: Any, where: str = "") -> str:
         if difference := _first_difference(stored[key], current[key], name):
             return difference
     return ""
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 40 else text[:37] + "..."
 
 
 # ---- bodies ------------------------------------------------------------------------------------------------
@@ -515,7 +507,8 @@ def body_arrays(body: Body) -> dict[str, np.ndarray]:
     for level, mesh in zip(_LEVELS, (body.coarse, body.fine), strict=True):
         arrays |= {f"{level}_{k}": v for k, v in _stored(mesh, _MESH).items()}
     arrays |= {f"landmark_{k}": v for k, v in _stored(body.landmarks, _MARKS).items()}
-    return arrays | {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
+    names = np.array(body.landmarks.names, dtype=np.str_).reshape(-1)
+    return arrays | {"landmark_names": names, "name": np.array(body.name)}
 
 
 def save_body(body: Body, path: str | Path) -> None:

@@ -7,9 +7,10 @@ order in which frames are requested, on where a run was resumed, or on the numbe
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
+from hypose.compute.picture_to_mask import Box
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.background import (
@@ -38,20 +40,20 @@ from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
-    MaskRuns,
+    BitMask,
     SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
     with_doubted_limbs,
 )
-from hypose.geometry import Array, Image, Mask
+from hypose.geometry import Image, Mask
 from hypose.io.file_names import folder_for
 from hypose.io.files import write_bytes, write_text
 from hypose.io.recordings.object_masks import SIDECAR
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.recording_people import load_person, persons_objects
-from hypose.io.recordings.view_source import Preparer, ViewSource
+from hypose.io.recordings.recording_people import choose_objects, load_person
+from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
@@ -60,6 +62,12 @@ from hypose.io.videos.video import evenly_spread, open_video
 
 KEPT_BYTES = 160 << 20
 """Memory for masks that are kept, bytes; enough for ten minutes of four cameras."""
+Progress = Callable[[str, int, int], None]
+"""Function that is called with the stage, the number of steps done and the total."""
+
+
+def unreported(stage: str, done: int, total: int) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -68,21 +76,18 @@ class PackedMask:
 
     runs: the mask; None where there is none.
     reason: why there is no mask.
-    colours: colour codes and colour edges of the picture in the mask's box, where they are wanted and known.
+    colours: box of the mask (y0, y1, x0, x1), and the colour codes and colour edges of the picture in it; empty where
+        they are not wanted or not known.
     """
 
-    runs: MaskRuns | None
+    runs: BitMask | None
     reason: str
-    colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
+    colours: tuple[tuple[Box, NDArray[np.uint16], NDArray[np.uint8]], ...] = ()
 
     @property
     def area(self) -> int:
         """Area of the mask, px; 0 where there is none."""
         return 0 if self.runs is None else self.runs.area
-
-    def outline(self) -> ViewOutline | None:
-        """Compute the outline of the mask as tracking uses it; None where there is no mask."""
-        return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 class PendingMasks:
@@ -94,46 +99,22 @@ class PendingMasks:
     """
 
     def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
-        self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
+        self._lanes, self._done = lanes, [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
         self._outlines: list[Future[ViewOutline | None]] = []
         self.asked = False  # whether the outlines were requested; a picture of the masks does not need them
 
-    def _masks(self) -> list[PackedMask]:
+    def masks(self) -> list[PackedMask]:
+        """Wait for the masks of all views."""
         return [f.result() for f in self._done]
-
-    def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
-        """Wait for the masks of all views.
-
-        Returns: by view, the mask (None: there is none) and the reason for its absence.
-        """
-        done = self._masks()
-        return [d.runs for d in done], [d.reason for d in done]
 
     def areas(self) -> NDArray[np.int64]:
         """Wait for the masks, and return their areas (C,), px."""
-        return np.array([d.area for d in self._masks()])
+        return np.array([d.area for d in self.masks()])
 
-    def colours(self, shape: tuple[int, ...]) -> Colours | None:
-        """Collect the colours within the masks; None where no view has any.
-
-        shape: (C, h, w), that of the masks.
-        """
-        codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
-        edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
-        for c, found in enumerate(self._masks()):
-            if found.colours is not None and found.runs is not None:
-                y0, y1, x0, x1 = found.runs.box
-                codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = found.colours
-                seen[c] = True
-        return Colours(codes, seen, edges) if seen.any() else None
-
-    def begin_outlines(self, lanes: Sequence[Executor]) -> None:
-        """Start the computation of the outlines, each after the mask of its view.
-
-        lanes: executor of each view.
-        """
+    def begin_outlines(self) -> None:
+        """Start the computation of the outlines, each after the mask of its view."""
         if not self._outlines:
-            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(self._lanes, self._done, strict=True)]
 
     def outlines(self) -> list[ViewOutline | None] | None:
         """Wait for the outlines that were started; None where they were not started or the stream was closed."""
@@ -150,7 +131,22 @@ class PendingMasks:
 
 
 def _outline(done: Future[PackedMask]) -> ViewOutline | None:
-    return done.result().outline()
+    runs = done.result().runs
+    return None if runs is None else outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT)
+
+
+def _colours(masks: Sequence[PackedMask], shape: tuple[int, ...]) -> Colours | None:
+    """Collect the colours within the masks of a frame; None where no view has any.
+
+    shape: (C, h, w) shape of all masks.
+    """
+    codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
+    edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
+    for c, mask in enumerate(masks):
+        for (y0, y1, x0, x1), of_view, edges_of_view in mask.colours:
+            codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = of_view, edges_of_view
+            seen[c] = True
+    return Colours(codes, seen, edges) if seen.any() else None
 
 
 _CLIP = 10  # fewer images count as photos, not as a clip
@@ -166,7 +162,8 @@ class FrameSettings:
     """Settings that turn pictures into frames of evidence.
 
     longer_side: working size, px of the longer image side; images are never enlarged.
-    silhouettes: settings of the masks; None for key points only, and then nothing is decoded.
+    silhouettes: settings of the masks.
+    masks: make masks; False for key points only, and then nothing is decoded.
     band: keep masks only within a thick skeleton drawn from the key points, where there are any.
     people: whether there are several people; masks then keep the parts of all people, no mask is rejected for its
         area, and there is no band.
@@ -174,7 +171,8 @@ class FrameSettings:
     """
 
     longer_side: int = 480
-    silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
+    silhouettes: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    masks: bool = True
     band: bool = True
     people: bool = False
     colours: bool = False
@@ -200,94 +198,78 @@ def _rig_of(recording: Recording, options: FrameSettings | None = None) -> Camer
     return working_rig(recording.rig, options, [v in recording.depth_views for v in recording.views])
 
 
-def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
+def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints]:
     """Load the key points of the recording's person in each frame, px of the working-size cameras.
 
     options: settings with the working size; the defaults where None.
-    Returns: one per frame of recording.frames, with confidence 0 where the person is not seen; None where the recording
-        has no key points.
+    Returns: one per frame of recording.frames, with confidence 0 where the person is not seen; empty where the
+        recording has no key points.
     """
-    found = load_person(recording, _rig_of(recording, options))
-    return None if found is None else found.keypoints
+    return load_person(recording, _rig_of(recording, options)).keypoints
 
 
-@dataclass(frozen=True)
 class _Skeletons:
     """Thick skeletons of all frames and views, drawn from key points with short gaps bridged.
 
-    points: (T, C, K, 3) px, px, confidence; 0.31 in bridged gaps.
-    heights: (T, C) height of the person in the picture, px.
-    names: K names of the key points.
+    keypoints: key points of all frames, px of the working size; empty: no frame has any.
     first: number of the first frame.
     """
 
-    points: Array
-    heights: Array
-    names: tuple[str, ...]
-    first: int
+    def __init__(self, keypoints: Sequence[Keypoints], first: int) -> None:
+        self._first, self._names = first, keypoints[0].names if keypoints else ()
+        self._points = points = np.stack([k.points for k in keypoints]) if keypoints else np.zeros((0, 0, 0, 3))
+        frames = np.arange(len(points))
+        for c, k in np.ndindex(points.shape[1:3]):
+            seen = points[:, c, k, 2] > 0.3
+            if seen.any():
+                for axis in (0, 1):
+                    points[:, c, k, axis] = np.interp(frames, frames[seen], points[seen, c, k, axis])
+                points[~seen & (np.asarray(distance_transform_edt(~seen)) <= _LONGEST_GAP), c, k, 2] = 0.31
+        heights = np.array([[person_size(p) for p in frame] for frame in points])
+        self._heights = percentile_filter(heights, 75, (61, 1), mode="nearest") if keypoints else heights
 
-    def cover(self, view: int, frame: int, camera: Camera) -> Mask | None:
-        """Draw the region of the person, a thick skeleton, as a mask of 0 and 1.
+    def show(self, view: int, frame: int) -> bool:
+        """Return whether a frame's key points of a view show the person: at least six, of at least 8 px height.
 
-        view: index of the view.
         frame: number of the video's frame.
+        """
+        if not len(self._points):
+            return False
+        p, height = self._points[frame - self._first, view], self._heights[frame - self._first, view]
+        return bool((p[:, 2] > 0.3).sum() >= 6 and height >= 8)
+
+    def cover(self, view: int, frame: int, camera: Camera) -> Mask:
+        """Draw the region of the person, a thick skeleton, as a mask (h, w) of 0 and 1, where `show` is true.
+
         camera: camera of the working size.
-        Returns: (h, w) of the camera's size; None where fewer than six key points are seen, or the person is less than
-            8 px tall.
         """
-        p, height = self.points[frame - self.first, view], self.heights[frame - self.first, view]
-        if (p[:, 2] > 0.3).sum() < 6 or height < 8:
-            return None
-        return thick_skeleton(p, self.names, (camera.size[1], camera.size[0]), _COVER * height)
+        p, height = self._points[frame - self._first, view], self._heights[frame - self._first, view]
+        return thick_skeleton(p, self._names, (camera.size[1], camera.size[0]), _COVER * height)
 
-    def band(self, view: int, frame: int, camera: Camera) -> Mask | None:
-        """Draw the region outside which a mask is cleared: the region of the person with a margin around it.
-
-        view, frame, camera: as for `cover`.
-        Returns: (h, w) of 0 and 1; None where `cover` is None.
-        """
-        mask = self.cover(view, frame, camera)
-        if mask is None or not mask.any():
-            return mask
-        extent = max(int(np.ptp(np.flatnonzero(mask.any(a)))) for a in (0, 1))
+    def band(self, view: int, frame: int, camera: Camera) -> Mask:
+        """Draw the region outside which a mask is cleared: the region of the person with a margin around it."""
+        drawn = self.cover(view, frame, camera)
+        if not drawn.any():
+            return drawn
+        extent = max(int(np.ptp(np.flatnonzero(drawn.any(a)))) for a in (0, 1))
         size = 2 * max(1, round(_BAND * extent)) + 1
-        return np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
+        return np.asarray(cv2.dilate(drawn, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
 
     def widened(self, view: int, frame: int, band: Mask, mask: Mask) -> Mask | None:
         """Widen the band by the limbs that the mask does not confirm.
 
-        view: index of the view.
-        frame: number of the video's frame.
         band, mask: (h, w) of 0 and 1.
         Returns: the wider band (h, w); None where the mask confirms all limbs.
         """
-        p, height = self.points[frame - self.first, view], float(self.heights[frame - self.first, view])
-        return with_doubted_limbs(band, mask, p, self.names, height)
-
-
-def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
-    """Bridge short gaps in the key points, so that skeletons can be drawn.
-
-    keypoints: key points of all frames, in px of the working size.
-    first: number of the first frame.
-    """
-    points = np.stack([k.points for k in keypoints])
-    frames = np.arange(len(points))
-    for c, k in np.ndindex(points.shape[1:3]):
-        seen = points[:, c, k, 2] > 0.3
-        if seen.any():
-            for axis in (0, 1):
-                points[:, c, k, axis] = np.interp(frames, frames[seen], points[seen, c, k, axis])
-            points[~seen & (np.asarray(distance_transform_edt(~seen)) <= _LONGEST_GAP), c, k, 2] = 0.31
-    heights = np.array([[person_size(p) for p in frame] for frame in points])
-    return _Skeletons(points, percentile_filter(heights, 75, (61, 1), mode="nearest"), keypoints[0].names, first)
+        p, height = self._points[frame - self._first, view], float(self._heights[frame - self._first, view])
+        return with_doubted_limbs(band, mask, p, self._names, height)
 
 
 def build_backgrounds(
     recording: Recording,
     options: FrameSettings | None = None,
-    keypoints: Sequence[Keypoints] | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    keypoints: Sequence[Keypoints] = (),
+    progress: Progress = unreported,
 ) -> tuple[BackgroundModel | None, ...]:
     """Build the background model of each view.
 
@@ -295,38 +277,34 @@ def build_backgrounds(
     frames of the recording are used, and the key points show where the person is.
 
     options: settings; the defaults where None.
-    keypoints: those of all frames, for the region of the person; None where there are none.
+    keypoints: those of all frames, for the region of the person; empty where there are none.
     progress: called with ("background", done, total) for every picture that is read.
     Returns: one model per view; None for views with masks, depth views and views without pictures.
     Raises: InputError where no picture of a view can be read.
     """
-    o = options or FrameSettings()
     total, pictures = sum(v.segmented for v in recording.views) * _BACKGROUND_FRAMES, itertools.count(1)
 
     def counted(image: Image) -> Image:
-        if progress is not None:
-            progress("background", min(next(pictures), total - 1), total)
+        progress("background", min(next(pictures), total - 1), total)
         return image
 
-    small = _rig_of(recording, o)
-    skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
+    small, skeletons = _rig_of(recording, options), _Skeletons(keypoints, recording.frames[0])
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
         if not view.segmented:
             return None
-        prepare = Preparer(recording.rig[c], small[c], view.image_shift)
+        source = ViewSource(view, recording.rig[c], small[c], parallel=len(recording.views))
         plate = None
-        if view.background is not None:
-            with open_video(view.background) as reader:
+        if "background" in view.files:
+            with open_video(view.files["background"]) as reader:
                 chosen = evenly_spread(0, reader.n_frames, _BACKGROUND_FRAMES)
-                images = [counted(prepare(reader.read(i))) for i in chosen]
+                images = [counted(source.prepare(reader.read(i))) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
-        source = ViewSource(view, recording.rig[c], small[c], parallel=len(recording.views))
-        try:
-            frames, hidden = [], []
+        frames, known = list[Image](), dict[int, Mask]()
+        with contextlib.closing(source):
             for frame in evenly_spread(recording.frames.start, recording.frames.stop, _BACKGROUND_FRAMES):
                 try:
                     frames.append(counted(source.image(frame)))
@@ -334,17 +312,15 @@ def build_backgrounds(
                     if not frames:
                         raise
                     break  # the video breaks off: use the frames that were read so far
-                hidden.append(None if skeletons is None else skeletons.cover(c, frame, small[c]))
-        finally:
-            source.close()
-        known = [(f, h) for f, h in zip(frames, hidden, strict=True) if h is not None]
+                if skeletons.show(c, frame):
+                    known[len(frames) - 1] = skeletons.cover(c, frame, small[c])
         if len(known) < max(4, len(frames) // 4):
             return from_recording(frames, None, plate)
-        return from_recording([f for f, _ in known], np.stack([h for _, h in known]), plate)
+        return from_recording([frames[k] for k in known], np.stack([*known.values()]), plate)
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
         made = tuple(pool.map(build, range(len(recording.views))))
-    if progress is not None and total:
+    if total:
         progress("background", total, total)
     return made
 
@@ -361,10 +337,9 @@ class FrameStream:
     progress: called with ("background", done, total) for every picture that is read to build the background models.
 
     Attributes:
+    kinds: classes of evidence that frames of this stream can have.
     rig: pinhole cameras of the working size.
-    keypoints: key points of the person per frame; None where there are none.
-    doubted: key points per frame that include those of views that do not fit, for diagnostics of the calibration.
-    others: number of other people that the key points show.
+    keypoints: key points of the person per frame; empty where there are none.
     Raises: InputError where the recording has no frames.
     """
 
@@ -373,28 +348,18 @@ class FrameStream:
         recording: Recording,
         options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Progress = unreported,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
-        if self.options.people and self.options.silhouettes is not None:
+        if self.options.people:
             self.options = replace(self.options, silhouettes=self.options.silhouettes.of_all_people, band=False)
-        self.rig = _rig_of(recording, self.options)
-        self.frames = recording.frames
+        self.rig, self.frames = _rig_of(recording, self.options), recording.frames
         if len(self.frames) == 0:
             raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
         person = load_person(recording, self.rig)
-        self.keypoints = None if person is None else person.keypoints
-        whose = None if person is None else person.one
-        notes = () if whose is None or self.options.people else whose.notes
-        self.people_notes = notes if person is None else (*notes, *person.held)
-        # other people whom key points show
-        self.others = 0 if whose is None or self.options.people else max(len(whose.people) - 1, 0)
-        self.doubted = self.keypoints
-        if person is not None and person.one.apart:
-            doubted = load_person(recording, self.rig, keep_misfits=True)
-            self.doubted = None if doubted is None else doubted.keypoints
-        banded = self.keypoints is not None and self.options.band
-        self._skeletons = _skeletons(self.keypoints, self.frames[0]) if banded and self.keypoints else None
+        self.keypoints = person.keypoints
+        self._people_notes = (*(() if self.options.people else person.one.notes), *person.held)
+        self._skeletons = _Skeletons(self.keypoints if self.options.band else [], self.frames[0])
         self.backgrounds: tuple[BackgroundModel | None, ...] = ()
         self._sources: list[ViewSource] = []
         self._lanes: list[ThreadPoolExecutor] = []
@@ -403,14 +368,18 @@ class FrameStream:
         self._kept, self._kept_bytes = dict[tuple[int, int], PackedMask](), 0  # masks by view and index
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
-        if self.options.silhouettes is not None and recording.has_pictures:
+        masks = self.options.masks and recording.has_pictures
+        self._readers: dict[type, Callable[[Frame, int], Frame]] = {}
+        if masks:
             self._open(backgrounds, progress)
+            self._readers[Silhouettes] = self._with_masks
+        if masks and recording.depth_views:
+            self._readers[Depth] = self._with_depth
+        if self.keypoints:
+            self._readers[Keypoints] = self._with_keypoints
+        self.kinds = frozenset(self._readers)
 
-    def _open(
-        self,
-        backgrounds: Sequence[BackgroundModel | None] | None,
-        progress: Callable[[str, int, int], None] | None,
-    ) -> None:
+    def _open(self, backgrounds: Sequence[BackgroundModel | None] | None, progress: Progress) -> None:
         r = self.recording
         self.backgrounds = (
             build_backgrounds(r, self.options, self.keypoints, progress) if backgrounds is None else tuple(backgrounds)
@@ -420,21 +389,16 @@ class FrameStream:
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
-        masks = [s.objects for s in self._sources]
-        objects, notes = persons_objects(r, self.rig, masks, self.keypoints, self.options.people)
-        for source, chosen in zip(self._sources, objects, strict=True):
-            if source.objects is not None:
-                source.objects.chosen = chosen
-        self.people_notes = (*self.people_notes, *notes)
+        objects = {c: s.objects for c, s in enumerate(self._sources) if s.objects is not None}
+        self._people_notes += choose_objects(r, self.rig, objects, self.keypoints, self.options.people)
+        self.tells_apart = any(len(o.objects) > 1 for o in objects.values())
         # each camera has its own thread, so that its frames are read in order; with fewer cores, cameras share threads,
         # because more threads than cores mostly wait for each other
         pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
         self._lanes = [pools[c % len(pools)] for c in range(len(r.views))]
 
-    @property
-    def tells_apart(self) -> bool:
-        """Whether at least one view has masks of several separate objects."""
-        return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
+    tells_apart = False
+    """Whether at least one view has masks of several separate objects."""
 
     @property
     def guessed_rooms(self) -> str:
@@ -442,8 +406,8 @@ class FrameStream:
         "" where there are none.
         """
         views = zip(self.recording.views, self.backgrounds, strict=False)
-        guessed = [v.name for v, b in views if b is not None and v.background is None]
-        if not guessed or self.keypoints is not None:
+        guessed = [v.name for v, b in views if b is not None and "background" not in v.files]
+        if not guessed or Keypoints in self.kinds:
             return ""
         which = "No view" if len(guessed) == len(self.recording.views) else f"{', '.join(guessed)}: no view of these"
         return (
@@ -462,7 +426,7 @@ class FrameStream:
             for s in self._sources
             if (area := s.furnished[1]) > 0
         )
-        return (*self.people_notes, *low_confidence, *unread, *things)
+        return (*self._people_notes, *low_confidence, *unread, *things)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -497,36 +461,31 @@ class FrameStream:
         """
         if not 0 <= index < len(self.frames):
             raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
-        number = self.frames[index]
-        silhouettes = colours = depth = None
-        if self._lanes:
-            history, pending = self._look(index)
-            masks, reasons = pending.masks()
-            areas = pending.areas()
-            if self.options.people:  # people who come or go change the area, which is no fault
-                history = history[:, :0]
-            collapsed = flag_collapsed(areas, history, self.rig.names, number)
-            why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
-            silhouettes = make_silhouettes(masks, self.rig, why)
-            make_ahead(silhouettes, pending.outlines)
-            colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
-            depth = self._depth(number, silhouettes)
-            if not self.options.people:
-                rooms = [s.furnished[0] for s in self._sources]
-                silhouettes = behind_things(silhouettes, depth, rooms)
-        keypoints = None if self.keypoints is None else self.keypoints[index]
-        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
+        frame = Frame(self.frames[index] / self.recording.frame_rate, self.frames[index])
+        for with_piece in self._readers.values():
+            frame = with_piece(frame, index)
+        return frame
 
-    def _depth(self, number: int, silhouettes: Silhouettes) -> Depth | None:
-        """Collect the depth maps of a frame.
+    def _with_keypoints(self, frame: Frame, index: int) -> Frame:
+        """Add the key points of the person to a frame."""
+        return replace(frame, keypoints=self.keypoints[index])
 
-        number: number of the video's frame.
-        silhouettes: those of the same frame.
-        Returns: None where there are no depth cameras.
-        """
-        sources = [s.depth for s in self._sources]
-        if all(s is None for s in sources):
-            return None
+    def _with_masks(self, frame: Frame, index: int) -> Frame:
+        """Add silhouettes to a frame, and the colours within them where they are wanted."""
+        history, pending = self._look(index)
+        masks = pending.masks()
+        if self.options.people:  # people who come or go change the area, which is no fault
+            history = history[:, :0]
+        collapsed = flag_collapsed(pending.areas(), history, self.rig.names, frame.index)
+        why = [mask.reason or found for mask, found in zip(masks, collapsed, strict=True)]
+        silhouettes = make_silhouettes([mask.runs for mask in masks], self.rig, why)
+        make_ahead(silhouettes, pending.outlines)
+        colours = _colours(masks, silhouettes.masks.shape) if self.options.colours else None
+        return replace(frame, silhouettes=silhouettes, colours=colours)
+
+    def _with_depth(self, frame: Frame, index: int) -> Frame:
+        """Add the depth maps to a frame with silhouettes, and mark the pixels where a thing may hide the person."""
+        silhouettes, sources = frame.the(Silhouettes), [s.depth for s in self._sources]
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         usable = silhouettes.usable & np.array([s is not None for s in sources])
         blank = np.zeros(len(sources), dtype=np.bool_)
@@ -534,26 +493,18 @@ class FrameStream:
             if source is None:
                 continue
             try:
-                found = self._lanes[c].submit(source.map, number).result()
+                found = self._lanes[c].submit(source.map, frame.index).result()
             except InputError:  # its mask could not be made either, with a reason
-                if usable[c]:
-                    raise
+                usable[c] = False
                 continue
             blank[c] = not found.any()
             if usable[c]:
                 maps[c, : found.shape[0], : found.shape[1]] = found
         person = silhouettes.masks * usable.astype(np.uint8)[:, None, None]
-        return Depth(maps, person, silhouettes.rig, usable, blank=blank)
-
-    def image(self, view: int, index: int) -> Image:
-        """Read the undistorted picture (h, w, 3) BGR of a view at working size, for overlays.
-
-        index: 0 <= index < len(stream), from the start of recording.frames.
-        Raises: InputError where the stream was opened without silhouettes.
-        """
-        if not self._lanes:
-            raise InputError("This stream was opened without silhouettes and decodes no images.")
-        return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
+        depth = Depth(maps, person, silhouettes.rig, usable, blank=blank)
+        if not self.options.people:
+            silhouettes = behind_things(silhouettes, depth, [s.furnished[0] for s in self._sources])
+        return replace(frame, silhouettes=silhouettes, depth=depth)
 
     def mask(self, view: int, number: int, picture: Image | None, settings: SilhouetteSettings) -> Mask:
         """Make the mask of one view and frame with other settings, to preview them.
@@ -575,19 +526,18 @@ class FrameStream:
         runs, reason = self._mask(view, number)
         if runs is None:
             raise InputError(reason)
-        return mask_runs.draw(runs)
+        return packed_masks.draw(runs)
 
-    def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
+    def _mask(self, view: int, frame: int) -> tuple[BitMask | None, str]:
         """Make the mask of a view.
 
         frame: number of the video's frame.
         Returns: as `ViewSource.mask`.
         """
-        band = widened = None
-        if self._skeletons is not None:
-            band = self._skeletons.band(view, frame, self.rig[view])
-            widened = None if band is None else partial(self._skeletons.widened, view, frame, band)
-        return self._sources[view].mask(frame, band, widened)
+        if not self._skeletons.show(view, frame):
+            return self._sources[view].mask(frame)
+        band = self._skeletons.band(view, frame, self.rig[view])
+        return self._sources[view].mask(frame, band, partial(self._skeletons.widened, view, frame, band))
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
         """Get the masks of a frame and the mask areas that define the usual area, and start on the next frames.
@@ -610,42 +560,37 @@ class FrameStream:
             if i not in self._ahead:
                 self._ahead[i] = PendingMasks(self._lanes, self._packed, i)
             if outlined and index <= i <= ahead:  # later frames are needed for their areas only
-                self._ahead[i].begin_outlines(self._lanes)
+                self._ahead[i].begin_outlines()
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:
                 del self._ahead[i]
-        for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
-            del self._areas[old]
+        self._areas = {s: areas for s, areas in self._areas.items() if samples[0] - 500 <= s <= samples[-1] + 500}
         self._given = pending = self._ahead.pop(index)
         if index % _SAMPLE_STEP == 0:
             self._areas[index] = pending.areas()
         return np.stack([self._areas[s] for s in samples], 1), pending
 
     def _packed(self, view: int, index: int) -> PackedMask:
-        """Get a mask from memory or make it; masks with colours are too large to be kept."""
-        found = self._kept.get((view, index))
-        if found is None:
-            found = self._made(view, index)
-            size = 0 if found.runs is None else found.runs.code.nbytes
-            if found.colours is None and self._kept_bytes + size <= KEPT_BYTES:
-                self._kept[view, index] = found
-                self._kept_bytes += size
-        return found
-
-    def _made(self, view: int, index: int) -> PackedMask:
-        """Make the mask of a view, with colours where they are wanted.
+        """Get a mask from memory or make it, with colours where they are wanted; those are too large to be kept.
 
         index: frame, counted from the start of recording.frames.
         """
+        if (view, index) in self._kept:
+            return self._kept[view, index]
         runs, reason = self._mask(view, self.frames[index])
-        wanted = self.options.colours and runs is not None and runs.area > 0
-        image = self._sources[view].image_of_mask(self.frames[index]) if wanted else None
-        if image is None or runs is None:
-            return PackedMask(runs, reason)
-        y0, y1, x0, x1 = runs.box
-        image = image[y0:y1, x0:x1]
-        return PackedMask(runs, reason, (colour_codes(image), colour_edges(image)))
+        if runs is not None and runs.area > 0 and self.options.colours:
+            image = self._sources[view].image_of_mask(self.frames[index])
+            if image is not None:
+                y0, y1, x0, x1 = runs.box
+                image = image[y0:y1, x0:x1]
+                return PackedMask(runs, reason, ((runs.box, colour_codes(image), colour_edges(image)),))
+        size = 0 if runs is None else runs.bits.nbytes
+        found = PackedMask(runs, reason)
+        if self._kept_bytes + size <= KEPT_BYTES:
+            self._kept[view, index] = found
+            self._kept_bytes += size
+        return found
 
 
 # ---- mask folders --------------------------------------------------------------------------------------------------
@@ -662,18 +607,19 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     Returns: number of masks that are not empty.
     Raises: InputError where the stream has no silhouettes.
     """
-    views = [mask_folder(folder, v.name, c) for v, c in zip(stream.recording.views, stream.rig, strict=True)]
+    if Silhouettes not in stream.kinds:
+        raise InputError(
+            f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the videos in "
+            "recording.toml."
+        )
+    views = {c: mask_folder(folder, v.name, stream.rig[c]) for c, v in enumerate(stream.recording.views)}
     shown = 0
     for done, frame in enumerate(stream, 1):
-        if frame.silhouettes is None:
-            raise InputError(
-                f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the "
-                "videos in recording.toml."
-            )
-        write_frame_masks(frame.silhouettes, views, frame.index)
+        silhouettes = frame.the(Silhouettes)
+        write_frame_masks(silhouettes, views, frame.index)
         if progress is not None:
             progress(done, len(stream))
-        shown += int((frame.silhouettes.areas > 0).sum())
+        shown += int((silhouettes.areas > 0).sum())
     return shown
 
 
@@ -684,14 +630,14 @@ def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
     return path
 
 
-def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
+def write_frame_masks(silhouettes: Silhouettes, folders: Mapping[int, Path], number: int) -> None:
     """Write the masks of a frame as PNG files.
 
     silhouettes: masks of all views.
-    folders: folder of each view; None for a view whose masks are not written.
+    folders: folders by the index of the view; the masks of other views are not written.
     number: number of the frame, which names the files.
     """
-    for path, camera, mask in zip(folders, silhouettes.rig, silhouettes.masks, strict=True):
-        if path is not None:
-            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
-            write_bytes(path / f"{number:06d}.png", data.tobytes() if ok else b"", synced=False)
+    for view, path in folders.items():
+        width, height = silhouettes.rig[view].size
+        _, data = cv2.imencode(".png", silhouettes.masks[view, :height, :width] * np.uint8(255))
+        write_bytes(path / f"{number:06d}.png", data.tobytes(), synced=False)

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import InputError
-from hypose.evidence.keypoint_sets import set_of_points
-from hypose.evidence.keypoints import KEYPOINT_SETS
+from hypose.evidence.keypoints import KEYPOINT_SETS, set_of_points
 from hypose.io.calibrations.calibration_formats import find_calibration
 from hypose.io.file_names import match_names, natural_key, text_of
 from hypose.io.files import read_toml

@@ -67,9 +67,9 @@ from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
-from hypose.io.calibrations.calibration_camera import UNITS
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any
 from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.camera_tables import UNITS
 from hypose.io.file_names import file_name, match_names, text_of
 from hypose.io.files import read_toml, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
@@ -330,19 +330,20 @@ class Recording:
     @property
     def depth_views(self) -> tuple[ViewSettings, ...]:
         """The views of depth cameras."""
-        return tuple(v for v in self.views if v.depth is not None)
+        return tuple(v for v in self.views if "depth" in v.files)
 
     @property
     def detected(self) -> bool:
         """Whether masks and key points are those of hypose's own detector, which belong together."""
-        return all(v.masks is not None and v.masks.parent == v.keypoints for v in self.views)
+        files = [v.files for v in self.views]
+        return all("masks" in f and f["masks"].parent == f.get("keypoints") for f in files)
 
     @property
     def inputs(self) -> dict[str, Path]:
         """All input files and folders by a descriptive name, for the provenance."""
         out = {"calibration": self.calibration} if self.calibration else {}
         for view in self.views:
-            out |= {f"{view.name}.{k}": p for k in PATH_KEYS if (p := getattr(view, k)) is not None}
+            out |= {f"{view.name}.{kind}": path for kind, path in view.files.items()}
         return out
 
 
@@ -418,7 +419,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         table = {
             "name": view.name,
             "camera": camera.name,
-            **{key: _relative(getattr(view, key), folder) for key in PATH_KEYS},
+            **{key: _relative(view.files[key], folder) for key in PATH_KEYS if key in view.files},
             "image_shift": shift if any(shift) else None,
             "accept_scaled": view.accept_scaled or None,
         }
@@ -428,7 +429,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         table = {
             "name": person.name,
             "height": person.height,
-            "body": _relative(person.body, folder),
+            "body": None if person.body is None else _relative(person.body, folder),
             "place": person.place,
             "time": person.time if placed else None,
         }
@@ -445,9 +446,7 @@ def silhouette_lines(options: SilhouetteSettings) -> list[str]:
     return ["", "[silhouettes]", *toml_lines(changed)] if changed else []
 
 
-def _relative(path: Path | None, folder: Path) -> str | None:
-    if path is None:
-        return None
+def _relative(path: Path, folder: Path) -> str:
     full, base = Path(os.path.abspath(path)), Path(os.path.abspath(folder))
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.as_posix()
 
@@ -493,23 +492,25 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     for view, camera, found in zip(views, rig, clips, strict=True):
         for clip in found:
             check_picture_size(view, camera, clip.path, clip.size, notes)
-        if view.background is not None:
+        if "background" in view.files:
             check_background(view, camera, found[0].size if found else None)
     pixels = _choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
     lag = settings.get("keypoint_lag", 0)
     stored = [found[0].size if found and view.source else None for view, found in zip(views, clips, strict=True)]
-    if pixels == "image" and (blind := [v.name for v, s in zip(views, stored, strict=True) if v.keypoints and not s]):
+    blind = [v.name for v in views if "keypoints" in v.files and v.source is None]
+    if pixels == "image" and blind:
         raise InputError(
             f"{where}: keypoint_pixels is image, but {', '.join(blind)} has no pictures that would say how large they "
             "are; give the videos, or key points in pixels of the calibration."
         )
     stored = stored if pixels == "image" else [None] * len(views)
-    keypoint_set = settings.get("keypoint_set") if any(v.keypoints for v in views) else None
+    paths = [v.files.get("keypoints") for v in views]
+    keypoint_set = settings.get("keypoint_set") if any(paths) else None
     if keypoint_set is not None:
         keypoint_names(keypoint_set)  # an unknown name is refused before the files are read
-    keypoints, said = keypoints_of_views([v.keypoints for v in views], names, rig.names, keypoint_set)
+    keypoints, said = keypoints_of_views(paths, names, rig.names, keypoint_set)
     notes += said
-    if any(v.keypoints for v in views):
+    if any(paths):
         keypoint_set = next((k.keypoint_set for k in keypoints if k is not None), keypoint_set or "BODY_25")
     reported = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
     views, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, reported, notes)
@@ -565,7 +566,7 @@ def keypoints_of_recording(recording: Recording) -> list[ViewKeypoints | None]:
     Raises: InputError where a file cannot be used.
     """
     views = recording.views
-    paths, names = [v.keypoints for v in views], [v.name for v in views]
+    paths, names = [v.files.get("keypoints") for v in views], [v.name for v in views]
     return _by_stored_frames(keypoints_of_views(paths, names, recording.rig.names, recording.keypoint_set)[0], views)
 
 
@@ -614,7 +615,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
     """
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
-    paths: dict[str, Any] = {}
+    paths: dict[str, Path] = {}
     for key in PATH_KEYS:
         if key not in table:
             continue
@@ -639,10 +640,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
         )
     shift = _numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
     return ViewSettings(
-        name=name,
-        image_shift=(float(shift[0]), float(shift[1])),
-        accept_scaled=table.get("accept_scaled", False),
-        **paths,
+        name, paths, image_shift=(float(shift[0]), float(shift[1])), accept_scaled=table.get("accept_scaled", False)
     )
 
 
@@ -684,7 +682,7 @@ def cameras_of_pictures(where: str, views: Sequence[ViewSettings]) -> CameraRig:
     """
     cameras = []
     for view in views:
-        path = view.source or view.masks
+        path = view.source or view.files.get("masks")
         if path is None:
             raise InputError(
                 f"{where}, view {view.name}: it has no pictures, so their size is not known; give its video, or the "

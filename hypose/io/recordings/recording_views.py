@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +22,11 @@ _ALIKE = 1.005
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """The files and settings of one camera's view. Paths exist; None where not given.
+    """The files and settings of one camera's view.
 
-    video, images, depth: video file, folder of images, or folder of depth maps.
-    masks: video or folder of masks.
-    background: video, photo or folder that shows the empty room.
-    keypoints: file or folder of key points.
+    files: existing paths by kind of evidence: "video" (a file), "images" or "depth" (folders of images or depth maps),
+        "masks" (video or folder), "background" (video, photo or folder that shows the empty room), "keypoints" (file or
+        folder); without the kinds that the view does not have.
     image_shift: (x, y) to add to image coordinates, px of the calibrated size.
     accept_scaled: images of another shape were stretched, not cut.
     first_mask: number of the first frame's files, for masks of one folder per object; None for the view's lowest
@@ -36,12 +35,7 @@ class ViewSettings:
     """
 
     name: str
-    video: Path | None = None
-    images: Path | None = None
-    masks: Path | None = None
-    background: Path | None = None
-    keypoints: Path | None = None
-    depth: Path | None = None
+    files: Mapping[str, Path] = field(default_factory=dict)
     image_shift: tuple[float, float] = (0.0, 0.0)
     accept_scaled: bool = False
     first_mask: int | None = None
@@ -50,17 +44,21 @@ class ViewSettings:
     @property
     def source(self) -> Path | None:
         """The video, image folder or folder of depth maps; None where there are only masks or key points."""
-        return self.video or self.images or self.depth
+        return next((self.files[kind] for kind in ("video", "images", "depth") if kind in self.files), None)
 
     @property
     def segmented(self) -> bool:
         """Whether masks are made from its video or images."""
-        return bool(self.video or self.images) and not (self.masks or self.depth)
+        return self.has_pictures and not {"masks", "depth"} & self.files.keys()
 
     @property
     def has_pictures(self) -> bool:
         """Whether there is a video, images, depth maps or masks; else there are key points alone."""
-        return self.source is not None or self.masks is not None
+        return bool({"video", "images", "depth", "masks"} & self.files.keys())
+
+    def without(self, *kinds: str) -> ViewSettings:
+        """Copy the view and leave out its files of some kinds."""
+        return replace(self, files={kind: path for kind, path in self.files.items() if kind not in kinds})
 
 
 _Clip = VideoReader | ObjectMasks
@@ -70,15 +68,14 @@ _Clip = VideoReader | ObjectMasks
 def look(view: ViewSettings) -> list[_Clip]:
     """Open the files of a view (video or images, then masks)."""
     out: list[_Clip] = []
-    for path in (view.source, view.masks):
-        if path is None:
-            continue
+    for kind in [k for k in ("video", "images", "depth", "masks") if k in view.files]:
+        path = view.files[kind]
         made_here = (path / SIDECAR).is_file()
         if made_here and view.source is not None:
             continue  # found by frame number; there may be masks of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
-        out.append(open_masks(path, view.first_mask) if path == view.masks else open_video(path))
+        out.append(open_masks(path, view.first_mask) if kind == "masks" else open_video(path))
     return out
 
 
@@ -115,9 +112,9 @@ def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader
     """
     if view.source is not None:
         return open_video(view.source, threads, rate=view.rate)
-    if view.masks is None:
+    if "masks" not in view.files:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
-    return open_masks(view.masks, view.first_mask)
+    return open_masks(view.files["masks"], view.first_mask)
 
 
 def check_picture_size(
@@ -158,20 +155,20 @@ def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] |
     size: (width, height) size of the view's pictures.
     Raises: InputError where it does not fit.
     """
-    assert view.background is not None
-    if view.depth is None:
-        check_picture_size(view, camera, view.background, frame_size(view.background), None)
+    background = view.files["background"]
+    if "depth" not in view.files:
+        check_picture_size(view, camera, background, frame_size(background), None)
         return
-    if not view.background.is_dir():
+    if not background.is_dir():
         raise InputError(
             f"View {view.name}: the background of a depth view is a folder of 16-bit PNG of the empty room, "
-            f"{view.background} is not; leave it out to go by the floor."
+            f"{background} is not; leave it out to go by the floor."
         )
-    room = frame_size(view.background)
+    room = frame_size(background)
     if room != size:
         raise InputError(
-            f"View {view.name}: the empty room in {view.background} is {room[0]} x {room[1]} px, the maps in "
-            f"{view.depth} are not; record both in the same mode of the camera, or leave the background out."
+            f"View {view.name}: the empty room in {background} is {room[0]} x {room[1]} px, the maps in "
+            f"{view.files['depth']} are not; record both in the same mode of the camera, or leave the background out."
         )
 
 
@@ -179,7 +176,7 @@ def stored_numbers(view: ViewSettings) -> NDArray[np.int64] | None:
     """Compute the stored frame for each frame of a video that is read by its time stamps; None where the numbers are
     equal.
     """
-    return None if view.video is None or view.rate is None else stored_frames(view.video, view.rate)
+    return None if "video" not in view.files or view.rate is None else stored_frames(view.files["video"], view.rate)
 
 
 def on_one_clock(
@@ -206,12 +203,12 @@ def on_one_clock(
     """
     if given is not None and not 0.1 <= given <= 10_000:
         raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
-    times = [None if v.video is None else frame_times(v.video) for v in views]
+    times = [frame_times(v.files["video"]) if "video" in v.files else None for v in views]
     rates = [
         c.frame_rate if t is None else 1 / _step(t)
         for v, t, found in zip(views, times, clips, strict=True)
         for c in found
-        if c.path == v.video and c.frame_rate is not None
+        if c.path == v.source and c.frame_rate is not None
     ]
     alike = not rates or max(rates) / min(rates) <= _ALIKE
     found = (float(np.median(rates)) if alike else min(rates)) if rates else reported
@@ -264,7 +261,7 @@ def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_Clip]], n
     counts = {}
     for view, found in zip(views, clips, strict=True):
         for clip in found:
-            with_masks = len(found) > 1 and clip.path == view.masks
+            with_masks = len(found) > 1 and clip is found[-1]
             counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
             if clip.stated_frames > clip.n_frames:
                 notes.append(

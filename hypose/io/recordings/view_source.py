@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections import OrderedDict
 from collections.abc import Callable
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -13,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import mask_runs
-from hypose.compute.glance import Glance, StoredPlaces, differing_box, stored_places
-from hypose.compute.picture_to_mask import Box, Undistortion, make_lens, new_picture, shrink_undistort
+from hypose.compute import packed_masks
+from hypose.compute.glance import Glance, differing_box, stored_places
+from hypose.compute.picture_to_mask import Box, make_lens, shrink_undistort
 from hypose.compute.threads import default_threads
 from hypose.errors import InputError
 from hypose.evidence.depth_background import (
@@ -30,7 +29,7 @@ from hypose.evidence.depth_background import (
     with_still_things,
 )
 from hypose.evidence.silhouettes import (
-    MaskRuns,
+    BitMask,
     Segmenter,
     as_mask,
     bounding_box,
@@ -59,22 +58,14 @@ class DepthPreparer:
     """
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
-        self._camera, self._size, self._shift = camera, small.size, shift
-        # a fisheye lens bends rays without coefficients, too
-        self._plain = not (camera.fisheye or np.any(camera.distortion)) and tuple(shift) == (0, 0)
-        self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
+        self._places = lru_cache(maxsize=2)(partial(places_in_stored, camera, small.size, shift))
 
     def __call__(self, depth: DepthMap) -> DepthMap:
         """Convert a depth map to the working size (h, w), m, with the nearest stored pixel.
 
         Why: no depth was measured between two pixels.
         """
-        stored = depth.shape[1], depth.shape[0]
-        if self._plain and stored == self._size:
-            return depth
-        if stored not in self._places:
-            self._places[stored] = places_in_stored(self._camera, self._size, self._shift, stored)
-        places = self._places[stored]
+        places = self._places((depth.shape[1], depth.shape[0]))
         moved = cv2.remap(depth, places[..., 0], places[..., 1], cv2.INTER_NEAREST, borderValue=0)
         return np.asarray(moved, dtype=np.float32)
 
@@ -86,29 +77,22 @@ class DepthSource:
 
     small: pinhole camera of the working size.
     people: find all people, not one.
+
+    Attributes:
+    map: function of the frame that reads its depth map (h, w), float32 m, 0 for a hole; it raises InputError where the
+        frame does not exist or cannot be read.
     """
 
     def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
-        assert view.depth is not None  # views of other cameras have no such source
         self.view, self._small, self._people = view, small, people
-        self._files = list_images(view.depth)
+        self._files = list_images(view.files["depth"])
         self._prepared = DepthPreparer(camera, small, view.image_shift)
-        self._stored: tuple[int, int] | None = None
-        self._kept: OrderedDict[int, DepthMap] = OrderedDict()
+        self.map = lru_cache(maxsize=_KEPT)(self._map)
 
-    def map(self, frame: int) -> DepthMap:
-        """Read the depth map (h, w) of a frame, float32 m, 0 for a hole.
-
-        Raises: InputError where the frame does not exist or cannot be read.
-        """
-        found = self._kept.get(frame)
-        if found is None:
-            if not 0 <= frame < len(self._files):
-                raise InputError(f"{self.view.depth} has the frames 0 to {len(self._files) - 1}, not {frame}.")
-            found = self._kept[frame] = self._prepared(self._read(self._files[frame]))
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        return found
+    def _map(self, frame: int) -> DepthMap:
+        if not 0 <= frame < len(self._files):
+            raise InputError(f"{self.view.files['depth']} has the frames 0 to {len(self._files) - 1}, not {frame}.")
+        return self._read(self._files[frame])
 
     def person(self, frame: int) -> NDArray[np.uint8]:
         """Segment the person in a frame as a mask (h, w) of 0 and 1.
@@ -125,11 +109,11 @@ class DepthSource:
     @cached_property
     def room(self) -> DepthBackground | None:
         """Background model of the empty room; None where it was not recorded."""
-        if self.view.background is None:
+        if "background" not in self.view.files:
             return None
-        files = list_images(self.view.background)
+        files = list_images(self.view.files["background"])
         chosen = evenly_spread(0, len(files), _ROOM_FRAMES)
-        return learn_background([self._prepared(self._read(files[k])) for k in chosen])
+        return learn_background([self._read(files[k]) for k in chosen])
 
     @cached_property
     def furnished(self) -> tuple[DepthBackground | None, float]:
@@ -156,21 +140,22 @@ class DepthSource:
         maps = list[DepthMap]()
         for k in evenly_spread(0, len(self._files), STILL_FRAMES):
             with contextlib.suppress(InputError):  # a damaged map is reported when its frame is read
-                maps.append(self._prepared(self._read(self._files[k])))
+                maps.append(self._read(self._files[k]))
         return maps
 
+    @cached_property
+    def _size(self) -> tuple[int, int]:
+        return frame_size(self._files[0])
+
     def _read(self, file: Path) -> DepthMap:
-        """Read a stored map; InputError where its size differs from the view's first map."""
-        if self._stored is None:
-            self._stored = frame_size(self._files[0])
+        """Read a stored map at working size; InputError where its size differs from the view's first map."""
         depth = read_depth_png(file)
-        if depth.shape[::-1] != self._stored:
+        if depth.shape[::-1] != self._size:
             raise InputError(
-                f"{file} is {depth.shape[1]} x {depth.shape[0]} px, the first map of {self.view.depth} "
-                f"{self._stored[0]} x {self._stored[1]} px; give maps of one mode of the camera, the empty room's as "
-                "well."
+                f"{file} is {depth.shape[1]} x {depth.shape[0]} px, the first map of {self.view.files['depth']} "
+                f"{self._size[0]} x {self._size[1]} px; give maps of one mode of the camera, the empty room's as well."
             )
-        return depth
+        return self._prepared(depth)
 
 
 def places_in_stored(
@@ -201,14 +186,14 @@ class Preparer:
         mx, my = camera.undistort_maps(self.size, self.size)
         scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
-        self._lenses: dict[tuple[int, int], Undistortion] = {}
-        self._memory = new_picture(self.size[1], self.size[0])
-        self._places: dict[tuple[int, int], StoredPlaces] = {}
+        self._memory = np.zeros((self.size[1], self.size[0], 3), np.uint8)
+        self._lens = lru_cache(maxsize=4)(lambda stored: make_lens(stored, *self._maps))
+        self._places = lru_cache(maxsize=4)(lambda stored: stored_places(stored, *self._maps))
 
     def __call__(self, image: Image) -> Image:
         """Undistort a stored picture."""
         image = self._enlarged(image)
-        return shrink_undistort(image, self._lens(image))
+        return shrink_undistort(image, self._lens(image.shape[1::-1]))
 
     def within(self, image: Image, box: Box | None) -> Image:
         """Undistort a stored picture within a box, into memory that the next call overwrites.
@@ -217,13 +202,7 @@ class Preparer:
             picture.
         """
         image = self._enlarged(image)
-        return shrink_undistort(image, self._lens(image), box, self._memory)
-
-    def _lens(self, image: Image) -> Undistortion:
-        stored = (image.shape[1], image.shape[0])
-        if stored not in self._lenses:
-            self._lenses[stored] = make_lens(stored, *self._maps)
-        return self._lenses[stored]
+        return shrink_undistort(image, self._lens(image.shape[1::-1]), box, self._memory)
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
         """Find the box around all foreground in a stored picture.
@@ -233,10 +212,7 @@ class Preparer:
         Returns: y0, y1, x0, x1 in the undistorted picture of working size; None where there is no foreground.
         """
         image = self._enlarged(image)
-        stored = (image.shape[1], image.shape[0])
-        if stored not in self._places:
-            self._places[stored] = stored_places(stored, *self._maps)
-        return differing_box(image, self._places[stored], glance, self.size)
+        return differing_box(image, self._places(image.shape[1::-1]), glance, self.size)
 
     def _enlarged(self, image: Image) -> Image:
         if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
@@ -244,7 +220,7 @@ class Preparer:
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[MaskRuns, Image]:
+def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[BitMask, Image]:
     """Segment the person in a stored picture.
 
     prepare: conversion to the working size.
@@ -326,9 +302,10 @@ class ViewSource:
     ) -> None:
         self.view = view
         self._threads = max(1, default_threads() // parallel)
-        self._prepare = Preparer(camera, small, view.image_shift)
-        self._masks = _MaskSource(view, view.masks, self._prepare, small.size) if view.masks else None
-        self.depth = DepthSource(view, camera, small, people) if view.depth else None
+        self.prepare = Preparer(camera, small, view.image_shift)
+        masks = view.files.get("masks")
+        self._masks = _MaskSource(view, masks, self.prepare, small.size) if masks else None
+        self.depth = DepthSource(view, camera, small, people) if "depth" in view.files else None
         self._given = self.depth or self._masks  # masks that need no segmentation of pictures
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
@@ -356,7 +333,7 @@ class ViewSource:
 
         Raises: InputError where the view has no pictures or the frame cannot be read.
         """
-        return self._prepare(self._stored(frame))
+        return self.prepare(self._stored(frame))
 
     def image_of_mask(self, frame: int) -> Image | None:
         """Get the undistorted picture (h, w, 3) BGR of a frame whose mask was made last.
@@ -381,8 +358,8 @@ class ViewSource:
         return self._memory
 
     def mask(
-        self, frame: int, band: Mask | None, widened: Callable[[Mask], Mask | None] | None = None
-    ) -> tuple[MaskRuns | None, str]:
+        self, frame: int, band: Mask | None = None, widened: Callable[[Mask], Mask | None] = lambda mask: None
+    ) -> tuple[BitMask | None, str]:
         """Segment the person in a frame.
 
         band: region where the person can be; None for the whole picture.
@@ -395,7 +372,7 @@ class ViewSource:
             return None, f"{self.view.name}, frame {frame}: it has no pictures"
         try:
             runs = self._runs(frame, band)
-            wide = None if widened is None else widened(mask_runs.draw(runs))
+            wide = None if band is None else widened(packed_masks.draw(runs))
             return runs if wide is None else self._runs(frame, wide), ""
         except InputError as problem:
             self._problems[frame] = str(problem)
@@ -404,13 +381,13 @@ class ViewSource:
                 self._broken = (frame, str(problem))
             return None, f"{self.view.name}, frame {frame}: {problem}"
 
-    def _runs(self, frame: int, region: Mask | None) -> MaskRuns:
+    def _runs(self, frame: int, region: Mask | None) -> BitMask:
         """Make the mask of a frame within a region; InputError where the frame cannot be read."""
         if self._given:
             mask = self._given.person(frame)
-            return mask_runs.runs_of(mask if region is None else mask & region)
+            return packed_masks.pack(mask if region is None else mask & region)
         assert self.segment is not None  # `mask` has checked
-        runs, prepared = mask_in(self._stored(frame), self._prepare, self.segment, region)
+        runs, prepared = mask_in(self._stored(frame), self.prepare, self.segment, region)
         self._shown = frame, prepared
         return runs
 

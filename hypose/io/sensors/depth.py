@@ -5,6 +5,7 @@ A depth map is (h, w) float32 in metres, 0 for a hole, with pixel centres at int
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import itertools
 import os
@@ -139,31 +140,18 @@ def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFram
             container = library.open(name, metadata_errors="replace")
     except (library.error.FFmpegError, OSError):
         raise InputError(f"{path} is not a video that can be opened; give an Azure Kinect recording (.mkv).") from None
-    tracks = [s for s in container.streams.video if "DEPTH" in _title(s)]
+    # the track's title, or the name of a tag, says that it holds depth
+    said = [(s, {str(k).upper(): str(v) for k, v in s.metadata.items()}) for s in container.streams.video]
+    tracks = [s for s, tags in said if "DEPTH" in " ".join([tags.get("TITLE", ""), *tags]).upper()]
     if not tracks:
         container.close()
         raise InputError(f"{path} has no depth track; record with k4arecorder and depth switched on.")
-    calibration = _calibration(container)
+    calibration: dict[str, Any] = {}
+    for stream in (s for s in container.streams if s.type == "attachment"):
+        if str(stream.metadata.get("filename", "")).endswith(".json"):
+            with contextlib.suppress(ValueError, AttributeError, TypeError, RecursionError):
+                calibration = calibration or dict(parse_json(bytes(stream.data)[: 1 << 20].rstrip(b"\0")))
     return calibration, _azure_frames(container, tracks[0], str(path), library)
-
-
-def _title(stream: Any) -> str:
-    """Join the title and the names of the tags of a track, in capitals."""
-    tags = {str(k).lower(): str(v) for k, v in stream.metadata.items()}
-    return " ".join([tags.get("title", ""), *tags]).upper()
-
-
-def _calibration(container: Any) -> dict[str, Any]:
-    """Read the attached calibration.json of an open Azure Kinect recording; empty where there is none."""
-    for stream in container.streams:
-        if stream.type == "attachment" and str(stream.metadata.get("filename", "")).endswith(".json"):
-            try:
-                value = parse_json(bytes(stream.data)[: 1 << 20].rstrip(b"\0"))
-            except (ValueError, AttributeError, TypeError, RecursionError):
-                continue
-            if isinstance(value, dict):
-                return value
-    return {}
 
 
 def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterator[DepthFrame]:
@@ -326,25 +314,22 @@ def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: f
     Raises: InputError where the recording cannot be used.
     """
     path = Path(path)
-    ending = path.suffix.lower()
     if path.is_dir():
         return _folder(path, frame_rate, millimetres)
-    if ending == ".mkv":
-        return _azure(path)
-    if ending in (".bag", ".db3"):
-        found = read_realsense(path)
-        if np.any(found.camera.distortion):
-            raise InputError(
-                f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth "
-                "stream as the camera rectifies it."
-            )
-        return found
-    if ending == ".r3d":
-        return _record3d(path)
-    raise InputError(
-        f"{path} is no recording of a depth camera that is known; give {', '.join(ENDINGS)}, or a folder of 16-bit PNG "
-        "in millimetres."
-    )
+    readers = {".mkv": _azure, ".bag": read_realsense, ".db3": read_realsense, ".r3d": _record3d}
+    ending = path.suffix.lower()
+    if ending not in readers:
+        raise InputError(
+            f"{path} is no recording of a depth camera that is known; give {', '.join(ENDINGS)}, or a folder of 16-bit "
+            "PNG in millimetres."
+        )
+    found = readers[ending](path)
+    if readers[ending] is read_realsense and np.any(found.camera.distortion):
+        raise InputError(
+            f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth stream "
+            "as the camera rectifies it."
+        )
+    return found
 
 
 def _pinhole(

@@ -52,28 +52,6 @@ _FRAMES = ["sensor", "frame", "time"]
 _SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
 
 
-@dataclass
-class _Sensor:
-    """A sensor of a recording folder while it is read.
-
-    rows: its name, the names of its joints, and its bodies.
-    scale: metres per unit of the positions.
-    intrinsics: fx, fy, cx, cy of its depth maps, px; None without depth maps.
-    y_up: the skeleton's y axis points up.
-    joint: index of each joint by its name.
-    times: time (s) of each frame by its number.
-    depth: path of the depth map of a frame by its number, relative to the folder.
-    """
-
-    rows: StreamRows
-    scale: float
-    intrinsics: tuple[float, float, float, float] | None
-    y_up: bool
-    joint: dict[str, int]
-    times: dict[int, float] = field(default_factory=dict)
-    depth: dict[int, str] = field(default_factory=dict)
-
-
 def read_folder(source: Source) -> SkeletonRecording:
     """Read a recording folder of skeletons, or that of a session.json.
 
@@ -84,17 +62,19 @@ def read_folder(source: Source) -> SkeletonRecording:
     with numbers_of(str(session)):
         value = read_json(session, "a session.json")
         stated, clock = (value["format"], value["version"]), value.get("clock", "common")
-        sensors = {s.rows.name: s for s in (_sensor(session, x) for x in value["sensors"])}
+        sensors = {s.rows.name: s for s in (_described(session, x) for x in value["sensors"])}
         twice = len(sensors) < len(value["sensors"])
     if stated != (_FORMAT, 1) or clock not in ("common", "own") or twice:
         raise InputError(
             f'{session} must say "format": "{_FORMAT}", "version": 1, "clock": "common" or "own", and name each sensor '
             "once; correct it."
         )
-    _read_frames(frames, sensors)
-    bodies = _read_bodies(skeleton, sensors)
-    for s in sensors.values():
-        _fill(s, bodies[s.rows.name], folder)
+    for where, cells in _rows_of(frames, _FRAMES, "frames.csv of a skeleton recording"):
+        _read_frame(where, cells, sensors)
+    for where, cells in _rows_of(skeleton, _SKELETON, "skeleton.csv of a skeleton recording"):
+        _read_joint(where, cells, sensors)
+    for sensor in sensors.values():
+        _add_rows(sensor, folder)
     return checked_recording(
         str(value.get("name", folder.resolve().name)),
         [s.rows for s in sensors.values()],
@@ -105,11 +85,32 @@ def read_folder(source: Source) -> SkeletonRecording:
     )
 
 
-def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
+@dataclass
+class _Sensor:
+    """A sensor of a recording folder while it is read.
+
+    rows: its bodies, in the order of frames.
+    scale: metres per unit.
+    intrinsics: fx, fy, cx, cy of its depth maps, px; None where it has none.
+    y_up: whether y of the positions points up.
+    times: time, s, of each frame.
+    depth: path of the depth map of a frame.
+    bodies: positions (J, 3), in the sensor's unit, and states (J,) of each frame and person.
+    """
+
+    rows: StreamRows
+    scale: float
+    intrinsics: tuple[float, float, float, float] | None
+    y_up: bool
+    times: dict[int, float] = field(default_factory=dict)
+    depth: dict[int, str] = field(default_factory=dict)
+    bodies: dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]] = field(default_factory=dict)
+
+
+def _described(path: Path, value: Mapping[str, Any]) -> _Sensor:
     """Convert the entry of a sensor in session.json; InputError, which names the file, where it is not valid."""
     name, joints, unit, depth = value["name"], value["joints"], value.get("unit", "m"), value.get("depth")
-    texts = [name, *joints]
-    named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in texts)
+    named = all(isinstance(text, str) and 1 <= len(text) <= 64 for text in [name, *joints])
     if not named or len(set(joints)) < len(joints) or not 1 <= len(joints) <= MAX_JOINTS or unit not in SKELETON_UNITS:
         raise InputError(
             f"{path}: each sensor needs a name, a list of 1 to {MAX_JOINTS} different names of joints, and the unit m "
@@ -121,9 +122,74 @@ def _sensor(path: Path, value: Mapping[str, Any]) -> _Sensor:
         lens, y_up = (fx, fy, cx, cy), depth.get("y_up", False) is True
         if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
             raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
-    return _Sensor(
-        StreamRows(name, tuple(joints)), SKELETON_UNITS[unit], lens, y_up, {n: i for i, n in enumerate(joints)}
-    )
+    return _Sensor(StreamRows(name, tuple(joints)), SKELETON_UNITS[unit], lens, y_up)
+
+
+def _sensor_of(where: str, sensors: Mapping[str, _Sensor], cells: Sequence[str]) -> _Sensor:
+    if cells[0] not in sensors:
+        raise InputError(f"{where}: the sensor {cells[0]!r} is not in session.json.")
+    return sensors[cells[0]]
+
+
+def _read_frame(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]) -> None:
+    """Add a row of frames.csv to its sensor; where: file and line."""
+    sensor = _sensor_of(where, sensors, cells)
+    with numbers_of(where):
+        number, time = int(cells[1]), float(cells[2])
+    if number in sensor.times:
+        raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
+    if not math.isfinite(time):
+        raise InputError(f"{where}: the time is not a number.")
+    sensor.times[number] = time
+    if "".join(cells[3:4]):
+        sensor.depth[number] = cells[3]
+
+
+def _read_joint(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]) -> None:
+    """Add a row of skeleton.csv to the bodies of its sensor; where: file and line."""
+    sensor = _sensor_of(where, sensors, cells)
+    with numbers_of(where):
+        frame, person, state = int(cells[1]), int(cells[2] or 0), int(cells[7] or 2)
+        xyz = [float(c or "nan") for c in cells[4:7]]
+    joints = sensor.rows.joint_names
+    if cells[3] not in joints or frame not in sensor.times:
+        raise InputError(f"{where}: the joint {cells[3]!r} or the frame {frame} is not in session.json or frames.csv.")
+    if not 0 <= person < 2**63 or state not in (0, 1, 2) or any(map(math.isinf, xyz)):
+        raise InputError(
+            f"{where}: person must be a whole number from 0, the state 0, 1 or 2, and coordinates must be finite; "
+            f"got {person}, {state} and {xyz}."
+        )
+    nothing = np.full((len(joints), 3), np.nan), np.zeros(len(joints), dtype=np.uint8)
+    positions, states = sensor.bodies.setdefault((frame, person), nothing)
+    joint = joints.index(cells[3])
+    positions[joint], states[joint] = xyz, state
+
+
+def _add_rows(sensor: _Sensor, folder: Path) -> None:
+    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival.
+
+    folder: folder of the recording, which holds the depth maps.
+    """
+    lens, rows = sensor.intrinsics if sensor.depth else None, sensor.rows
+    by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {number: [] for number in sensor.times}
+    for (frame, person), (positions, state) in sensor.bodies.items():
+        scaled = np.where(positions > -9000, positions * sensor.scale, positions)
+        by_frame[frame].append((person, scaled, state))
+    for frame, seen in sorted(by_frame.items()):
+        image, name = None, sensor.depth.get(frame)
+        if not seen:
+            rows.empty.append(sensor.times[frame])
+        elif lens is not None and name is not None:
+            if not (folder / name).resolve().is_relative_to(folder.resolve()):
+                raise InputError(
+                    f"{folder / 'frames.csv'} names the depth map {name!r}, which lies outside the folder."
+                )
+            image = read_depth_png(folder / name)
+        for person, positions, state in seen:
+            rows.add(sensor.times[frame], person, positions, state)
+            if lens is not None:
+                none = np.zeros(len(positions))
+                rows.joint_depth.append(none if image is None else sample_depth(image, positions, lens, sensor.y_up))
 
 
 def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
@@ -133,86 +199,6 @@ def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str
         raise InputError(f"{path}: the first line must be {','.join(header)}.")
     for number, cells in rows:
         yield f"{path}: line {number}", cells
-
-
-def _known(where: str, table: Mapping[Any, Any], key: Any, what: str) -> Any:
-    if key not in table:
-        raise InputError(f"{where}: {what} {key!r} is not in session.json or frames.csv.")
-    return table[key]
-
-
-def _read_frames(path: Path, sensors: Mapping[str, _Sensor]) -> None:
-    for where, cells in _rows_of(path, _FRAMES, "frames.csv of a skeleton recording"):
-        sensor = _known(where, sensors, cells[0], "the sensor")
-        with numbers_of(where):
-            number, time = int(cells[1]), float(cells[2])
-        if number in sensor.times:
-            raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
-        if not math.isfinite(time):
-            raise InputError(f"{where}: the time is not a number.")
-        sensor.times[number] = time
-        if "".join(cells[3:4]):
-            sensor.depth[number] = cells[3]
-
-
-_Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
-
-
-def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodies]:
-    """Read skeleton.csv: for each sensor positions (J, 3), in its unit, and states (J,) by frame and person."""
-    bodies: dict[str, _Bodies] = {name: {} for name in sensors}
-    for where, cells in _rows_of(path, _SKELETON, "skeleton.csv of a skeleton recording"):
-        sensor = _known(where, sensors, cells[0], "the sensor")
-        joint = _known(where, sensor.joint, cells[3], "the joint")
-        with numbers_of(where):
-            frame, person, state = int(cells[1]), int(cells[2] or 0), int(cells[7] or 2)
-            xyz = [float(c or "nan") for c in cells[4:7]]
-        _known(where, sensor.times, frame, "the frame")
-        if not 0 <= person < 2**63 or state not in (0, 1, 2) or any(map(math.isinf, xyz)):
-            raise InputError(
-                f"{where}: person must be a whole number from 0, the state 0, 1 or 2, and coordinates must be finite; "
-                f"got {person}, {state} and {xyz}."
-            )
-        count = len(sensor.joint)
-        nothing = np.full((count, 3), np.nan), np.zeros(count, dtype=np.uint8)
-        positions, states = bodies[cells[0]].setdefault((frame, person), nothing)
-        positions[joint], states[joint] = xyz, state
-    return bodies
-
-
-def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
-    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival.
-
-    sensor: its times are known, its rows are empty.
-    bodies: positions (J, 3), in the sensor's unit, and states (J,) by frame number and person.
-    folder: the recording folder, in which depth maps lie.
-    Raises: InputError where a depth map cannot be read.
-    """
-    by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {}
-    for (frame, person), (positions, state) in bodies.items():
-        scaled = np.where(positions > -9000, positions * sensor.scale, positions)
-        by_frame.setdefault(frame, []).append((person, scaled, state))
-    lens = sensor.intrinsics if sensor.depth else None
-    for frame in sorted(sensor.times):
-        time = sensor.times[frame]
-        seen = by_frame.get(frame, [])
-        if not seen:
-            sensor.rows.empty.append(time)
-        file = sensor.depth.get(frame) if seen and lens is not None else None
-        image = None if file is None else read_depth_png(_inside(folder, file))
-        for person, positions, state in seen:
-            sensor.rows.add(time, person, positions, state)
-            if lens is not None:
-                found = None if image is None else sample_depth(image, positions, lens, sensor.y_up)
-                sensor.rows.joint_depth.append(np.zeros(len(positions)) if found is None else found)
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """Resolve a path in the folder; InputError where it leads out of the folder."""
-    path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{folder / 'frames.csv'} names the depth map {name!r}, which lies outside the folder.")
-    return path
 
 
 # ---- writing -------------------------------------------------------------------------------------------------
@@ -256,7 +242,9 @@ class FolderWriter:
         with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
-                self._session()
+                sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
+                about = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock}
+                write_text(self.folder / "session.json", to_json(about | {"sensors": sensors}))
             number, last = self._frame.get(sensor, (-1, math.nan))
             if time != last:
                 number += 1
@@ -270,11 +258,6 @@ class FolderWriter:
                 if s
             ]
             self._skeleton.write("".join(rows))
-
-    def _session(self) -> None:
-        sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
-        value = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
-        write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:
         """Flush the files to the system.
@@ -343,7 +326,10 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
         name = cells[sensor_column]
         if len(turn) == 2:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
-            values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
+            # the program moved the points to the first sensor's frame; here they come back to their own
+            first = next(iter(turns.values()))
+            back = so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
+            values[known] = (values[known] - [0.0, 0.0, first[1]]) @ back + [0.0, 0.0, own[1]]
         sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
     # seconds since the year 1 would lose microseconds in later arithmetic
     zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
@@ -351,15 +337,6 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
         rows.times = [t - zero for t in rows.times]
     title = path.name.removesuffix(".gz").removesuffix(".csv")
     return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
-
-
-def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
-    """Move points (N, 3), m, from the first sensor's frame back to their own sensor's frame.
-
-    first, own: initial angle about the vertical, rad, and distance, m, of the person, for the first and the own sensor.
-    """
-    moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
-    return np.asarray(moved + [0.0, 0.0, own[1]])
 
 
 def read_azure(source: Source) -> SkeletonRecording:

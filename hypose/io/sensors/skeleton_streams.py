@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import accumulate, chain
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport
+from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport, clean_joints
 from hypose.geometry import Array
 from hypose.io.files import bounded_lines
 from hypose.io.formats import Source
@@ -188,15 +188,17 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     positions = np.full((t, people, j, 3), np.nan)
     state = np.zeros((t, people, j), dtype=np.uint8)
     ids = np.full((t, people), -1, dtype=np.int64)
-    depth = np.zeros((t, people, j)) if rows.joint_depth else None
+    depth = np.zeros((t, people, j))
     for n, (bodies, column) in enumerate(zip(present, columns, strict=True)):
         for person, i in bodies.items():
             c = column[person]
             positions[n, c], state[n, c], ids[n, c] = rows.positions[i], rows.state[i], person
-            if depth is not None:
+            if rows.joint_depth:
                 depth[n, c] = rows.joint_depth[i]
     positions, state = clean_joints(positions, state, f"{where}, sensor {rows.name}", rows.joint_names)
-    return SensorStream(rows.name, instants, positions, state, ids, rows.joint_names, depth), tuple(notes)
+    return SensorStream(
+        rows.name, instants, positions, state, ids, rows.joint_names, depth if rows.joint_depth else None
+    ), tuple(notes)
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
@@ -213,32 +215,6 @@ def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
                 now[p] = next(c for c in range(len(now) + 1) if c not in now.values())
         out.append(now)
     return out
-
-
-def clean_joints(
-    positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
-) -> tuple[Array, NDArray[np.uint8]]:
-    """Mark missing joints alike: NaN positions and state 0.
-
-    positions: (..., J, 3) m.
-    state: (..., J) 0 not tracked, 1 inferred, 2 tracked.
-    where: the sensor, for the error message.
-    joint_names: names of the J joints, for the error message.
-    Returns: copies of positions and states.
-    Raises: InputError where coordinates are too large to be metres.
-    """
-    positions, state = positions.copy(), state.copy()
-    positions[(positions <= MISSING_MARK).any(-1)] = np.nan
-    missing = ~np.isfinite(positions).all(-1) | (state == 0)
-    positions[missing], state[missing] = np.nan, 0
-    far = np.argwhere(np.abs(np.nan_to_num(positions)).max(-1) > FARTHEST_M)
-    if len(far):
-        at = tuple(far[0])
-        raise InputError(
-            f"{where}: the joint {joint_names[at[-1]]} lies at {positions[at].round(1).tolist()}, which cannot be "
-            f"metres (at most {FARTHEST_M:.0f}); divide millimetres by 1000."
-        )
-    return positions, state
 
 
 def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
@@ -361,22 +337,21 @@ def join_observations(
     """
     at = np.asarray(times, dtype=np.float64)
     rows = np.arange(len(at))
-    positions, state, seen, depth = [], [], [], []
-    with_depth = all(s.joint_depth is not None for s in synced)
-    for s, column in zip(synced, columns, strict=True):
-        c = np.maximum(column, 0)
-        visible = (column >= 0) & (s.state[rows, c] > 0).any(1)
-        positions.append(np.where(visible[:, None, None], s.positions[rows, c], np.nan))
-        state.append(np.where(visible[:, None], s.state[rows, c], 0).astype(np.uint8))
-        seen.append(np.where(visible, at, np.nan))
-        if with_depth and s.joint_depth is not None:
-            depth.append(np.where(visible[:, None], s.joint_depth[rows, c], 0.0))
-    p, q, t = np.stack(positions, 1), np.stack(state, 1), np.stack(seen, 1)
-    d = np.stack(depth, 1) if with_depth else None
+    own = [np.maximum(c, 0) for c in columns]
+    visible = [(c >= 0) & (s.state[rows, k] > 0).any(1) for s, c, k in zip(synced, columns, own, strict=True)]
+
+    def stacked(values: Sequence[np.ndarray], hidden: float) -> np.ndarray:
+        """Stack arrays (T, ...) of the sensors; `hidden` where a sensor does not see the person."""
+        shown = (v.reshape(-1, *[1] * (a.ndim - 1)) for v, a in zip(visible, values, strict=True))
+        return np.stack([np.where(v, a, hidden) for v, a in zip(shown, values, strict=True)], 1)
+
+    p = stacked([s.positions[rows, k] for s, k in zip(synced, own, strict=True)], np.nan)
+    q = stacked([s.state[rows, k] for s, k in zip(synced, own, strict=True)], 0).astype(np.uint8)
+    t = stacked([at] * len(synced), np.nan)
+    known = [s.joint_depth[rows, k] for s, k in zip(synced, own, strict=True) if s.joint_depth is not None]
+    d = stacked(known, 0.0) if len(known) == len(synced) else [None] * len(at)
     names, joints = tuple(s.name for s in synced), synced[0].joint_names
-    return [
-        SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=None if d is None else d[n]) for n in range(len(at))
-    ]
+    return [SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=d[n]) for n in range(len(at))]
 
 
 def shifted(stream: SensorStream, seconds: float) -> SensorStream:
@@ -460,28 +435,32 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
     if not isinstance(value, dict):
         raise InputError('the line is no JSON object; it must look like {"sensor": ..., "time": ..., "joints": {...}}')
     if unknown := value.keys() - _KNOWN:
-        _bad(f"there is no field {min(unknown)[:40]!r}; the fields are {', '.join(sorted(_KNOWN))}")
-    sensor, token, joints = value.get("sensor"), value.get("token", ""), value.get("joints", ...)
-    if not isinstance(sensor, str) or not _SENSOR.fullmatch(sensor):
-        _bad("sensor must be a name of 1 to 32 letters, digits, _ . -")
-    if not isinstance(token, str):
-        _bad("token must be text")
-    unit = value.get("unit", "m")
-    if not isinstance(unit, str) or unit not in SKELETON_UNITS:
-        _bad("unit must be m or mm")
+        raise InputError(f"there is no field {min(unknown)[:40]!r}; the fields are {', '.join(sorted(_KNOWN))}")
+    sensor, token, unit = value.get("sensor"), value.get("token", ""), value.get("unit", "m")
+    joints, person = value.get("joints", ...), value.get("person", 0)
+    faults = {
+        "sensor must be a name of 1 to 32 letters, digits, _ . -": not (
+            isinstance(sensor, str) and _SENSOR.fullmatch(sensor)
+        ),
+        "token must be text": not isinstance(token, str),
+        "unit must be m or mm": not isinstance(unit, str) or unit not in SKELETON_UNITS,
+        "person must be a whole number from 0": not (
+            isinstance(person, int) and not isinstance(person, bool) and 0 <= person < 2**63
+        ),
+        f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen": not (
+            joints is None or (isinstance(joints, dict) and 1 <= len(joints) <= MAX_JOINTS)
+        ),
+    }
+    if found := [fault for fault, there in faults.items() if there]:
+        raise InputError(found[0])
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
-    person = value.get("person", 0)
-    if isinstance(person, bool) or not isinstance(person, int) or not 0 <= person < 2**63:
-        _bad("person must be a whole number from 0")
     if joints is None:
         empty = np.zeros((0, 3))
         return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
-    if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
-        _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen")
-    names, scale = tuple(joints), SKELETON_UNITS[unit]
+    names = tuple(joints)
     _check_names(names)
-    return SensorReport(sensor, time, person, names, *_positions(joints, scale), received), token
+    return SensorReport(sensor, time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
 
 
 @lru_cache(maxsize=64)
@@ -489,7 +468,7 @@ def _check_names(names: tuple[str, ...]) -> None:
     """Check the names of joints; cached, because a sensor sends the same names in every line."""
     for name in names:
         if not _JOINT.fullmatch(name):
-            _bad("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
+            raise InputError("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
 
 
 def _positions(joints: Mapping[str, Any], scale: float) -> tuple[Array, NDArray[np.uint8]]:
@@ -503,31 +482,29 @@ def _positions(joints: Mapping[str, Any], scale: float) -> tuple[Array, NDArray[
     rows = [_MISSING if c is None else [*c, 2] if type(c) is list and len(c) == 3 else c for c in joints.values()]
     flat = list(chain.from_iterable(r if type(r) is list and len(r) == 4 else ("",) for r in rows))
     if not _NUMBERS.issuperset(map(type, flat)):
-        _bad("each joint must be [x, y, z], [x, y, z, state] or null, and hold numbers")
+        raise InputError("each joint must be [x, y, z], [x, y, z, state] or null, and hold numbers")
     try:
         table = np.array(flat, dtype=np.float64).reshape(-1, 4)
     except OverflowError:
-        _bad("a joint holds an integer that is too large")
+        raise InputError("a joint holds an integer that is too large") from None
     positions, level = table[:, :3] * scale, table[:, 3]
     if not ((level == 0) | (level == 1) | (level == 2)).all():
-        _bad("the state of a joint must be 0, 1 or 2")
+        raise InputError("the state of a joint must be 0, 1 or 2")
     missing = (level == 0) | (table[:, :3] <= MISSING_MARK).any(1) | np.isnan(positions).any(1)
     far = ~missing & (np.abs(positions) > FARTHEST_M).any(1)
     if far.any():
         name = list(joints)[int(far.argmax())]
-        _bad(f'the joint {name} lies beyond {FARTHEST_M:.0f} m; say "unit": "mm" if the sensor reports millimetres')
+        raise InputError(
+            f'the joint {name} lies beyond {FARTHEST_M:.0f} m; say "unit": "mm" if the sensor reports millimetres'
+        )
     positions[missing] = np.nan
     return positions, np.where(missing, 0, level).astype(np.uint8)
 
 
 def _number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
-        _bad(f"{name} must be a number of seconds")
+        raise InputError(f"{name} must be a number of seconds")
     return float(value)
-
-
-def _bad(reason: str) -> NoReturn:
-    raise InputError(reason)
 
 
 def format_line(line: SensorReport) -> str:

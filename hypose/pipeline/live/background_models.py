@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import mask_runs
+from hypose.compute import packed_masks
 from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
@@ -81,7 +81,7 @@ class ViewBackground:
         """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
-        return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
+        return packed_masks.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
@@ -103,7 +103,7 @@ class ViewBackground:
         if self.background is None or not np.isfinite(passed):
             return
         assert self._segment is not None
-        found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
+        found, picture = packed_masks.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
         sparse, before = np.s_[:: SETTINGS.scene_sparse, :: SETTINGS.scene_sparse], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)

@@ -29,7 +29,7 @@ from hypose.geometry import Array
 from hypose.pipeline.live.background_models import PackedDepth
 from hypose.pipeline.live.processes import belong_to_parent, start_process
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import AnthropometryOptions, estimate_subject
 
 _T = TypeVar("_T")
 

@@ -28,7 +28,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.depth_background import DepthBackground
 from hypose.evidence.outlines import ViewOutline
-from hypose.evidence.shared_masks import BodyShape
+from hypose.evidence.people import BodyShape
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Array, Mask
 from hypose.io.keypoints.detectors import open_network

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hypose.errors import HyposeError, InputError
-from hypose.fusion.clocks import SensorClock
+from hypose.fusion.align import SensorClock
 from hypose.geometry import Array
 from hypose.io.videos.camera_sources import CameraImage, CameraSource
 from hypose.pipeline.settings import SETTINGS

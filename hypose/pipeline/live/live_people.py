@@ -27,22 +27,20 @@ from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.shared_masks import Other
+from hypose.evidence.people import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.frame_anomalies import looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
-from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import tracker_of
-from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles
+from hypose.pipeline.subject import TrackedSubject
+from hypose.pipeline.track_loop import BLIND, Member, shape_of, step_together, tracker_of
+from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles, follow_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
 from hypose.tracking.frame_evidence import mean_overlap, prepare
 from hypose.tracking.refinement import SETTLING, refine
-from hypose.tracking.several import BLIND, Member, shape_of, step_together
 from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
 
@@ -557,7 +555,7 @@ class LiveErrorModel:
             low_confidence = np.ones(count, np.bool_)
         now = with_fitted_joints(now, frame.kind, self._beyond)
         now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
-        return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
+        return now if frame.kind == "depth" else as_mixture(now)  # regions from depth include other places
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
         """Compute features of the frame, if that is due, and error probabilities from those of the last seconds.

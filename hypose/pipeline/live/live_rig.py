@@ -93,7 +93,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
 def _address(view: ViewSettings, sources: Mapping[str, str]) -> str:
     """Return the address of a camera; the folder of a depth view is marked as one of depth maps."""
     where = sources[view.name]
-    return where if view.depth is None or is_depth(where) else f"{DEPTH_PREFIX}{where}"
+    return where if "depth" not in view.files or is_depth(where) else f"{DEPTH_PREFIX}{where}"
 
 
 def _check_places(sources: Mapping[str, str]) -> None:
@@ -119,15 +119,15 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
             "recording with videos."
         )
     # masks made by other programs do not exist for live pictures
-    shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
+    shown = replace(recording, keypoint_set=None, views=tuple(v.without("masks") for v in recording.views))
     loop_s = recording.n_frames / recording.frame_rate if loop else None
     small = working_rig(rig, depth=[v in recording.depth_views for v in recording.views])
     views = tuple(
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled, loop_s=loop_s)
-        if v.depth is None
+        if "depth" not in v.files
         else LiveView(
             v.name,
-            f"{DEPTH_PREFIX}{v.depth}",
+            f"{DEPTH_PREFIX}{v.source}",
             v.image_shift,
             depth=True,
             depth_background=DepthSource(v, camera, own).room,
@@ -135,7 +135,7 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         for v, b, camera, own in zip(recording.views, build_backgrounds(shown), rig, small, strict=True)
     )
     notes = tuple(f"View {v.name}: {v.background.note}" for v in views if v.background and v.background.note)
-    no_background = not any(v.background or v.depth for v in recording.views)
+    no_background = not any({"background", "depth"} & v.files.keys() for v in recording.views)
     rate = rate or recording.frame_rate
     return LiveRig(rig, views, rate, recording.silhouettes, recording.subject_height, notes, no_background)
 

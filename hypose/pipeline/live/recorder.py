@@ -59,9 +59,8 @@ class LiveRecorder:
         self._rows, self._described = 0, -np.inf
         self._last: list[bytes | None] = [None] * len(views)
         self._waiting: queue.Queue[LiveResult | None] = queue.Queue(SETTINGS.recorder_waiting)
-        self._masks: list[Path] = []
-        self._pictures: list[Path] = []
-        self._empty: dict[int, Path] = {}
+        self._files: list[dict[str, Path]] = []
+        """Folders of each view by kind of evidence, as in `ViewSettings`."""
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -102,10 +101,7 @@ class LiveRecorder:
 
     def _describe(self) -> None:
         views = tuple(
-            ViewSettings(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
-            if v.depth
-            else ViewSettings(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
-            for c, (v, pictures, masks) in enumerate(zip(self._views, self._pictures, self._masks, strict=True))
+            ViewSettings(v.name, files, v.shift, v.stretched) for v, files in zip(self._views, self._files, strict=True)
         )
         recording = Recording(
             self.folder,
@@ -150,12 +146,14 @@ class LiveRecorder:
 
     def _opened(self) -> TextIO:
         """Make the folders, and open the file of poses."""
-        places = ("depth" if v.depth else "pictures" for v in self._views)
-        self._pictures = [folder_for(self.folder / p, v.name) for p, v in zip(places, self._views, strict=True)]
-        # a depth camera needs no masks
-        self._masks = [
-            p if v.depth else mask_folder(self.folder / "masks", v.name, camera)
-            for p, v, camera in zip(self._pictures, self._views, self._small, strict=True)
+        self._files = [
+            {"depth": folder_for(self.folder / "depth", v.name)}  # a depth camera needs no masks
+            if v.depth
+            else {
+                "images": folder_for(self.folder / "pictures", v.name),
+                "masks": mask_folder(self.folder / "masks", v.name, camera),
+            }
+            for v, camera in zip(self._views, self._small, strict=True)
         ]
         return open(self.folder / _POSES, "x", encoding="utf-8", newline="\n")
 
@@ -163,7 +161,7 @@ class LiveRecorder:
         """Write the maps from which the empty room was learned, in place of earlier ones."""
         for c, maps in enumerate(empty):
             if maps:
-                folder = self._empty[c] = folder_for(self.folder / "background", self._views[c].name)
+                folder = self._files[c]["background"] = folder_for(self.folder / "background", self._views[c].name)
                 for old in folder.glob("*.png"):
                     old.unlink()
                 for k, data in enumerate(maps):
@@ -175,14 +173,14 @@ class LiveRecorder:
         for c, (view, jpeg) in enumerate(zip(seen.captured.views, seen.captured.jpegs, strict=True)):
             if self._views[c].depth:
                 self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size, True)
-                (self._pictures[c] / f"{number:06d}.png").write_bytes(self._last[c] or b"")
+                (self._files[c]["depth"] / f"{number:06d}.png").write_bytes(self._last[c] or b"")
                 continue
             width, height = self._small[c].size
             mask = np.zeros((height, width), np.uint8) if view is None else np.unpackbits(view[0], 1, width)
-            ok, data = cv2.imencode(".png", mask * np.uint8(255))
-            (self._masks[c] / f"{number:06d}.png").write_bytes(data.tobytes() if ok else b"")
+            _, data = cv2.imencode(".png", mask * np.uint8(255))
+            (self._files[c]["masks"] / f"{number:06d}.png").write_bytes(data.tobytes())
             self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size)
-            (self._pictures[c] / f"{number:06d}.jpg").write_bytes(self._last[c] or b"")
+            (self._files[c]["images"] / f"{number:06d}.jpg").write_bytes(self._last[c] or b"")
         people = []
         for pose in seen.poses:
             m = pose.motion
@@ -213,7 +211,7 @@ class LiveRecorder:
         """Remove the files of the instant that failed; this also frees space for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
-        for folder in (*self._pictures, *self._masks):
+        for folder in (folder for files in self._files for kind, folder in files.items() if kind != "background"):
             for path in folder.glob(f"{self.written:06d}.*"):
                 with contextlib.suppress(OSError):
                     path.unlink()

@@ -31,7 +31,7 @@ from hypose.tracking.monocular.problem import checked_picture, floor_of
 from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 
 LEAST_CLICKS = 6
 _HEADINGS = 8

@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes
 from hypose.cameras.camera import Camera
-from hypose.compute import mono
-from hypose.compute.mono import MonoWorkspace
-from hypose.compute.threads import default_threads, over_chunks
 from hypose.errors import InputError
 from hypose.evidence.edges_flow import Flow, optical_flow
 from hypose.evidence.frame import Frame, Keypoints, Picture
@@ -51,24 +48,15 @@ from hypose.tracking.monocular.problem import (
     score,
 )
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
-from hypose.tracking.pose_covariance import PoseUncertainty, packed
+from hypose.tracking.refinement import PoseUncertainty, packed
 
 _MARGIN = 40
 """px around the person in which flow is computed"""
 _LOST_SHARE = 0.2
 """the track is lost when a smaller share of the contour's nodes finds an edge"""
-CONTOUR, ASSIGNED, FLOW = 0, 1, 5
+CONTOUR, ASSIGNED, FLOW = 0, 1, 2
 """Indices into a candidate's node counts: visible contour nodes; contour nodes with an edge; inner nodes with usable
 flow."""
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Parts of the search that depend on the camera: the fixed parts of the problem, and scratch memory per thread."""
-
-    camera: Camera
-    fixed: Fixed
-    workspaces: list[MonoWorkspace]
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,6 @@ class PictureSearch:
     body: its coarse mesh is compared with the pictures. Lens distortion is ignored: give undistorted pictures.
     settings: options of costs and search.
     active: (A,) dof to estimate (default: the 30 of `body_dofs`); the others keep their start values.
-    threads: number of threads that share the hypotheses (default: the machine's); the results do not depend on it.
     floor: height in the world of the floor that the person stands on, m; None: unknown.
     points: function that makes the term of the key points of the view on a body; None: none are used.
     The kernels of one frame share edges and problem by `PreparedFrame.shared`.
@@ -87,10 +74,9 @@ class PictureSearch:
     body: Body
     settings: MonoSettings = MonoSettings()
     active: NDArray[np.int64] | None = None
-    threads: int | None = None
     floor: float | None = None
     points: Callable[[Keypoints, Body], KeypointTerm | None] = keypoints_on
-    _places: list[_Place] = field(default_factory=list, init=False, compare=False, repr=False)
+    _places: list[Fixed] = field(default_factory=list, init=False, compare=False, repr=False)
 
     def predicted(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Predict every hypothesis by its own velocity, and build the frame's evidence: edges, flow from the previous
@@ -99,45 +85,44 @@ class PictureSearch:
         Raises: InputError or EvidenceError, naming the frame, where picture, mask or points do not fit the camera.
         """
         picture, seen = checked_picture(frame.frame), frame.frame.keypoints
-        fixed = self._at(picture.camera).fixed
+        fixed = self._at(picture.camera)
         velocities = h.columns.get("velocity", np.zeros_like(h.values))
         poses = h.values + self.settings.velocity * velocities
         poses[:, fixed.active] = np.clip(poses[:, fixed.active], fixed.lower, fixed.upper)
         flow = self._flow(picture, np.concatenate([h.values, poses]))
         points, field = None if seen is None else self.points(seen, self.body), field_of(picture.image, self.settings)
-        frame.shared["evidence"] = frame_evidence(fixed, picture, points, field, flow, self.settings)
+        frame.shared["evidence"] = frame_evidence(fixed, picture, points, field, flow)
         columns = {"velocity": velocities, "before": h.values, "evidence": -h.relative_log_weights}
         return replace(h, values=poses, columns=columns)
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Optimise every hypothesis from its prediction by a Newton search; return the results as candidates."""
-        settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
+        settings, before = self.settings, h.columns["before"]
         evidence: PictureEvidence = frame.shared["evidence"]
-        found = self._solved(place, evidence, h.values, before, settings.coarse_iterations, settings.iterations)
+        found = self._solved(evidence, h.values, before, settings.coarse_iterations, settings.iterations)
         # the way of a start or a sample to its optimum is no motion: it keeps its first velocity
         moved = np.stack([s.pose for s in found]) - before
         velocities = np.where(h.has(OPTIMISED)[:, None], moved, h.columns["velocity"])
         history = settings.search.memory * h.columns["evidence"]
-        return self._candidates(OPTIMISED, place.fixed, found, velocities, h.values, history)
+        return self._candidates(OPTIMISED, evidence.fixed, found, velocities, h.values, history)
 
     def mirror_now(self, h: Hypotheses, frame: PreparedFrame, /) -> bool:
         """Decide whether mirrored limbs are tried in this frame."""
         search = self.settings.search
-        wanted = frame.frame.keypoints is not None if search.flips is None else search.flips
+        wanted = bool(frame.frame.of(Keypoints)) if search.flips is None else search.flips
         return wanted and frame.done % search.flip_every == 0
 
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Add optimised mirrored limbs of the best candidate to the candidates; the added ones have velocity 0."""
-        settings, best, place = self.settings, best_of(h), self._at(checked_picture(frame.frame).camera)
-        poses = mirrored(self.body, place.camera, h.values[best], place.fixed.active)
+        settings, best = self.settings, best_of(h)
+        evidence: PictureEvidence = frame.shared["evidence"]
+        fixed, still = evidence.fixed, evidence._replace(flow=None)
+        poses = mirrored(self.body, fixed.camera, h.values[best], fixed.active)
         if len(poses) == 0:
             return pooled(h)
-        evidence: PictureEvidence = frame.shared["evidence"]
-        flow = evidence.arrays.flow
-        still = evidence._replace(arrays=evidence.arrays._replace(flow=flow._replace(flow=flow.flow[:0])))
-        found = self._solved(place, still, poses, poses, settings.coarse_iterations, settings.iterations)
+        found = self._solved(still, poses, poses, settings.coarse_iterations, settings.iterations)
         history = np.full(len(found), _history(h)[best])
-        return pooled(h, self._candidates(MIRRORED, place.fixed, found, np.zeros_like(poses), poses, history))
+        return pooled(h, self._candidates(MIRRORED, fixed, found, np.zeros_like(poses), poses, history))
 
     def sampled(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Add to the candidates samples along the directions in which the cost of each candidate is flattest.
@@ -147,14 +132,13 @@ class PictureSearch:
         if self.settings.search.hypotheses == 1:
             return pooled(h)
         evidence: PictureEvidence = frame.shared["evidence"]
-        place, history, sets = self._at(checked_picture(frame.frame).camera), _history(h), [h]
-        fixed = place.fixed
+        fixed, history, sets = evidence.fixed, _history(h), [h]
         for k in range(h.count):
             hessian, free = h.columns["hessian"][k], h.columns["free"][k]
             limits = (fixed.active, fixed.spread, fixed.lower, fixed.upper)
             poses = uncertain_samples(h.values[k], hessian, free, *limits, self.settings.search)
             own = evidence.predicted(h.columns["prediction"][k])
-            cost = np.array([score(pose, own, place.workspaces[0]) for pose in poses])
+            cost = np.array([score(pose, own) for pose in poses])
             columns = {name: np.repeat(column[k : k + 1], len(poses), 0) for name, column in h.columns.items()}
             sets.append(candidates(SAMPLED, poses, **{**columns, "cost": cost, "evidence": history[k] + cost}))
         return pooled(*sets)
@@ -170,11 +154,11 @@ class PictureSearch:
         Returns: joint covariances (J, 3, 3) of the best candidate, inflated, and the modes. The packed matrix of the
             pose is zero: the modes hold more than one matrix could.
         """
-        fixed, s = self._at(checked_picture(frame.frame).camera).fixed, self.body.skeleton
+        fixed, s = self._at(checked_picture(frame.frame).camera), self.body.skeleton
         found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
         covariances = covariances_by_turns(self._covariances(fixed, found), found.values)
         around = s.joint_covariances(found.values[0], covariances[0])
-        sight = self.body.joints(found.values[0]) - checked_picture(frame.frame).camera.position
+        sight = self.body.joints(found.values[0]) - fixed.camera.position
         sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
         depth = np.einsum("ja,jab,jb->j", sight, around, sight)
         modes = Modes(
@@ -214,25 +198,21 @@ class PictureSearch:
         picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
-        place = self._at(picture.camera)
-        field = field_of(picture.image, self.settings)
-        evidence = frame_evidence(place.fixed, picture, points, field, None, self.settings)
-        found = self._solved(place, evidence, poses, poses, iterations // 2, iterations, predict=False)
+        fixed, field = self._at(picture.camera), field_of(picture.image, self.settings)
+        evidence = frame_evidence(fixed, picture, points, field, None)
+        found = self._solved(evidence, poses, poses, iterations // 2, iterations, predict=False)
         found = sorted(found, key=lambda s: s.evidence)
         cost, where = np.array([s.evidence for s in found]), np.stack([s.pose for s in found])
         still = np.zeros_like(where)
-        pool = self._candidates(OPTIMISED, place.fixed, found, still, where, np.zeros(len(found)))
-        covariance = self._covariances(place.fixed, pool)
+        pool = self._candidates(OPTIMISED, fixed, found, still, where, np.zeros(len(found)))
+        covariance = self._covariances(fixed, pool)
         return Hypotheses(where, cost[0] - cost, covariance=covariance, columns={"cost": cost})
 
-    def _at(self, camera: Camera) -> _Place:
+    def _at(self, camera: Camera) -> Fixed:
         """Return the parts of the problem that stay the same as long as the camera does not change."""
         if not self._places or self._places[0].camera is not camera:
             active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
-            fixed = fixed_parts(self.body, camera, active, self.settings, self.floor)
-            (w, h), count = camera.size, self.threads if self.threads is not None else default_threads()
-            work = [mono.workspace(fixed.model, h, w) for _ in range(max(1, count))]
-            self._places[:] = [_Place(camera, fixed, work)]
+            self._places[:] = [fixed_parts(self.body, camera, active, self.settings, self.floor)]
         return self._places[0]
 
     def _flow(self, picture: Picture, poses: Array) -> Flow | None:
@@ -241,7 +221,7 @@ class PictureSearch:
         """
         if picture.before is None:
             return None
-        moving = self._at(picture.camera).fixed.model.moving_vertices
+        moving = self._at(picture.camera).moving
         points = self.body.skin(poses)[:, moving].reshape(-1, 3)
         uv = picture.camera.project_pinhole(points)
         uv = uv[np.isfinite(uv).all(1)]
@@ -257,7 +237,6 @@ class PictureSearch:
 
     def _solved(
         self,
-        place: _Place,
         evidence: PictureEvidence,
         starts: Array,
         before: Array,
@@ -266,27 +245,17 @@ class PictureSearch:
         *,
         predict: bool = True,
     ) -> list[MonoSolution]:
-        """Optimise every start (N, D) in several threads.
+        """Optimise every start (N, D).
 
-        place: place of the camera.
         evidence: evidence of the frame.
         starts, before: (N, D) start poses, and poses in the previous picture.
         coarse, iterations: as in `newton_descent`.
         predict: add to each a pull to its own start as the prediction.
         Returns: N solutions.
         """
-        solutions: list[MonoSolution | None] = [None] * len(starts)
-        free = list(place.workspaces)
-
-        def work(first: int, last: int) -> None:
-            ws = free.pop()
-            for n in range(first, last):
-                own = evidence.predicted(starts[n]) if predict else evidence
-                solutions[n] = newton_descent(starts[n], before[n], own, coarse, iterations, ws)
-            free.append(ws)
-
-        over_chunks(work, len(starts), len(free))
-        return [s for s in solutions if s is not None]
+        own = (evidence.predicted(start) if predict else evidence for start in starts)
+        every = zip(starts, before, own, strict=True)
+        return [newton_descent(start, then, one, coarse, iterations) for start, then, one in every]
 
     def _candidates(
         self,

@@ -22,7 +22,7 @@ from hypose.evidence.terms import KeypointTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_keypoints
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import keypoint_term
+from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.problem import Floor, floor_rows
 from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
 from hypose.tracking.refinement import anatomical_prior

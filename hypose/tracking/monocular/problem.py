@@ -6,6 +6,7 @@ from the trunk and from each other.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,29 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, Landmarks
-from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import mono
-from hypose.compute.arrays import plain
+from hypose.cameras.camera import Camera
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
-from hypose.compute.mono import (
-    EdgeArrays,
-    FlowArrays,
-    FlowSettings,
-    MonoModel,
-    MonoWorkspace,
-    PictureArrays,
-)
 from hypose.compute.solver import bounded_step
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow, edge_field
-from hypose.evidence.frame import Frame, Picture, Silhouettes
+from hypose.evidence.frame import Frame, Picture
 from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
 from hypose.fitting.problem import Posed, Problem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array
-from hypose.tracking.contacts import soles_of
+from hypose.tracking.monocular.picture_rows import FlowTargets, edge_rows, flow_rows, flow_targets, view_of
 from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.smoothing import soles_of
 
 SMALLEST_MASK = 50
 """px: a silhouette of fewer pixels shows no person"""
@@ -67,7 +59,7 @@ def checked_picture(frame: Frame) -> Picture:
     picture = frame.picture
     if picture is None:
         raise InputError(f"Frame {frame.index} has no picture, which tracking with one camera needs; give its video.")
-    (w, h), image, mask = picture.camera.size, picture.image, picture.mask
+    (w, h), image = picture.camera.size, picture.image
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
             f"Frame {frame.index}: a picture must be (h, w, 3) uint8, got {image.shape} {image.dtype}; convert it to "
@@ -78,7 +70,8 @@ def checked_picture(frame: Frame) -> Picture:
             f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {picture.camera.name} {w} x {h}; "
             "resize the picture or use camera.scaled((width, height))."
         )
-    if mask is not None:
+    for silhouettes in picture.silhouettes:
+        mask = silhouettes.masks[0]
         if mask.shape != (h, w):
             raise InputError(
                 f"Frame {frame.index}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the picture {w} x {h}; resize "
@@ -101,38 +94,24 @@ def mask_contours(picture: Picture, settings: MonoSettings) -> ContourTerm | Non
 
     settings: settings of the cost; with mask weight 0 the term is left out.
     """
-    if picture.mask is None or settings.mask_weight <= 0:
-        return None
-    mask = (picture.mask != 0).astype(np.uint8)[None]
-    seen = Silhouettes(mask, CameraRig((picture.camera,)), np.ones(1, np.bool_), ("",))
-    try:
-        return contour_term(seen, settings.mask_weight)
-    except EvidenceError:  # foreground from border to border
-        return None
+    for silhouettes in picture.silhouettes if settings.mask_weight > 0 else ():
+        with contextlib.suppress(EvidenceError):  # foreground from border to border
+            return contour_term(silhouettes, settings.mask_weight)
+    return None
 
 
-def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: MonoSettings) -> EdgeArrays:
-    """Build the arrays of the edge term.
+def moving_edges(field: NDArray[np.float32], flow: Flow | None, floor: float) -> NDArray[np.float32]:
+    """Weight the edges (h, w, 2) of a picture by motion boundaries.
 
-    field: (h, w, 2) edges of a picture, from `edge_field`.
-    flow: optical flow, whose motion boundaries weight the edges; None: no weighting.
-    settings: settings of the cost.
+    flow: optical flow with its motion boundaries; None: the edges are not weighted.
+    floor: weight of an edge where nothing moves.
     """
-    edge = settings.edge
-    if flow is not None:
-        share = np.full(field.shape[:2], edge.boundary_floor, np.float32)
-        (x, y), (h, w) = flow.corner, flow.boundaries.shape
-        share[y : y + h, x : x + w] += np.float32(1 - edge.boundary_floor) * flow.boundaries
-        field = share[..., None] * field
-    return EdgeArrays(field, settings.edges, edge)
-
-
-def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
-    """Build the arrays of the flow term; without flow (None) the term has no nodes."""
     if flow is None:
-        none = np.zeros((0, 0), np.float32)
-        flow = Flow(np.zeros((0, 0, 2), np.float32), none, none, (0, 0))
-    return FlowArrays(flow.flow, flow.error, np.array(flow.corner, dtype=np.int64), settings)
+        return field
+    share = np.full(field.shape[:2], floor, np.float32)
+    (x, y), (h, w) = flow.corner, flow.boundaries.shape
+    share[y : y + h, x : x + w] += np.float32(1 - floor) * flow.boundaries
+    return share[..., None] * field
 
 
 class Spheres(NamedTuple):
@@ -278,8 +257,10 @@ class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
     body: body of the person.
-    model: the body before the camera.
+    camera: pinhole camera of the pictures.
+    settings: settings of the cost.
     active: (A,) dof that are estimated.
+    moving: (V,) vertices of the coarse mesh of which these carry more than half of the weight.
     moves: (V + J, A) share of each active dof's motion that each vertex of the coarse mesh, and each joint, follows.
     spheres: prior against interpenetration.
     floor: on which the person stands; None: unknown.
@@ -289,8 +270,10 @@ class Fixed:
     """
 
     body: Body
-    model: MonoModel
+    camera: Camera
+    settings: MonoSettings
     active: NDArray[np.int64]
+    moving: NDArray[np.bool_]
     moves: Array
     spheres: Spheres
     floor: Floor | None
@@ -316,14 +299,17 @@ def fixed_parts(
     if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
         raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
     moves = s.moves[active].T.astype(np.float64)
+    weights = body.coarse.dense_weights(len(moves))
     spread = prediction_spread(s.sigma, settings)[active]
     posture = (settings.motion_scale / (settings.posture_scale * spread)) ** 2
     posture[active < 6] = 0.0  # place and heading of the body have no usual value
     return Fixed(
         body,
-        mono.model(s.tree, body.coarse.arrays, np.asarray(s.moves[active].any(0)), camera.projection),
+        camera,
+        settings,
         active,
-        np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves]),
+        weights @ s.moves[active].any(0) > 0.5,
+        np.concatenate([weights @ moves, moves]),
         part_spheres(body, settings.interpenetration),
         floor_of(body, floor, settings),
         s.lower[active],
@@ -351,7 +337,7 @@ class MonoSolution(NamedTuple):
     evidence: cost without flow, by which hypotheses are ranked.
     gradient: (A,) gradient of the full cost.
     hessian: (A, A) of evidence, flow and rest posture.
-    counts: (7,) numbers of nodes, as in MonoWorkspace.
+    counts: (3,) numbers of contour nodes that are seen, of those with an edge, and of inner nodes with flow.
     """
 
     pose: Array
@@ -365,14 +351,16 @@ class PictureEvidence(NamedTuple):
     """Evidence and priors of one hypothesis in one picture.
 
     fixed: parts of the problem that do not change from frame to frame.
-    arrays: edges and flow.
+    field: (h, w, 2) edges of the picture, weighted by motion boundaries.
+    flow: optical flow from the previous picture; None: there is none.
     contours: outline of the mask, where there is one.
     points: key points or clicked joints; None: there are none.
     prediction: pull of the active dof to their prediction; None: none.
     """
 
     fixed: Fixed
-    arrays: PictureArrays
+    field: NDArray[np.float32]
+    flow: Flow | None
     contours: ContourTerm | None
     points: KeypointTerm | None
     prediction: Quadratic | None = None
@@ -381,14 +369,22 @@ class PictureEvidence(NamedTuple):
         """Add a pull to a predicted pose (D,)."""
         return self._replace(prediction=Quadratic(pose[self.fixed.active], self.fixed.spread**-2))
 
+    def targets(self, before: Array) -> FlowTargets | None:
+        """Place the inner nodes of the flow on the body at its pose (D,) in the previous picture; None without flow."""
+        if self.flow is None:
+            return None
+        body, camera = self.fixed.body, self.fixed.camera
+        view = view_of(Posed(body, before, body.skin(before)), camera)
+        return flow_targets(view, self.fixed.moving, self.flow, self.fixed.settings.flow)
+
 
 class PictureProblem(Problem[Array, tuple[Array, Array]]):
     """Least-squares problem of one hypothesis in one picture: a pose (D,) within the limits.
 
     evidence: evidence and priors.
-    ws: scratch memory, prepared by `mono.prepare_terms`.
     sigma: scale of the edges, px; None: the fine one.
-    n_flow: number of inner nodes; 0: without flow.
+    targets: inner nodes; None: without flow.
+    Attributes: counts, (2,) numbers of contour nodes of the last evaluation that are seen, and of those with an edge.
     Source: Sminchisescu & Triggs 2001, equation (10), and equation (11): (H + lambda W) step = -g, W the diagonal of H
         (at least 1), with an active set of limits (section 4.1). Deviations: 2D points, interpenetration and the floor
         are added to the cost; a step is cut to a trusted reach (1: LONGEST_STEP), which is smaller after steps that
@@ -396,26 +392,25 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
     """
 
     def __init__(
-        self, evidence: PictureEvidence, ws: MonoWorkspace, sigma: float | None = None, n_flow: int = 0
+        self, evidence: PictureEvidence, sigma: float | None = None, targets: FlowTargets | None = None
     ) -> None:
-        self.evidence, self.ws, self.n_flow = evidence, ws, n_flow
-        self.sigma = evidence.arrays.edges.settings.sigma_px if sigma is None else sigma
+        self.evidence, self.targets, self.counts = evidence, targets, (0, 0)
+        self.sigma = evidence.fixed.settings.edge.sigma_px if sigma is None else sigma
         self._reach, self._length = 1.0, 1.0
         self._from: Array | None = None
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         """Compute the cost of a pose, with Hessian (A, A) and gradient (A,) by the active dof; see `Problem`."""
-        (fixed, arrays, *_, prediction), ws = self.evidence, self.ws
-        cost, n = mono.picture_cost(state, arrays, self.sigma, self.n_flow, ws)
+        fixed, prediction = self.evidence.fixed, self.evidence.prediction
         parts, at = list(self._rows(state)), state[fixed.active]
         pulls = [Quadratic(np.zeros(len(at)), fixed.posture)]
         if prediction is not None:
             pulls.append(prediction)
-        cost += sum(r.cost for r in parts) + sum(0.5 * float(p.weight @ (at - p.centre) ** 2) for p in pulls)
+        cost = sum(r.cost for r in parts) + sum(0.5 * float(p.weight @ (at - p.centre) ** 2) for p in pulls)
 
         def equations() -> tuple[Array, Array]:
-            rows = Rows.joined([_surface_rows(ws, n), *(r._replace(point=r.point - state[:3]) for r in parts)])
-            jacobian = rows.by_pose(ws.twists[fixed.active], fixed.moves)
+            rows, twists = Rows.joined(parts), fixed.body.skeleton.world_twists(state)
+            jacobian = rows.by_pose(twists[fixed.active], fixed.moves)
             hessian, gradient = weighted_squares(jacobian, rows.weight, rows.residual)
             for p in pulls:
                 hessian[np.diag_indices(len(at))] += p.weight
@@ -425,9 +420,15 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
         return float(cost), equations
 
     def _rows(self, pose: Array) -> Iterator[Rows]:
-        """Compute the rows of mask, key points, spheres and floor."""
-        fixed, _, contours, points, _ = self.evidence
-        posed = Posed(fixed.body, pose, self.ws.vertices + pose[:3])
+        """Compute the rows of all evidence, spheres and floor."""
+        fixed, field, _, contours, points, _ = self.evidence
+        posed, settings = Posed(fixed.body, pose, fixed.body.skin(pose)), fixed.settings
+        if settings.edges:
+            view = view_of(posed, fixed.camera)
+            rows, self.counts = edge_rows(view, fixed.moving, field, settings.edge, self.sigma)
+            yield rows
+        if self.targets is not None:
+            yield flow_rows(posed, fixed.camera.projection, self.targets, settings.flow)
         if contours is not None:
             yield from rows_of_contours(posed, contours, MASK_SCALE, contours.weight, contours.row_spacing_px, _NORMALS)
         if points is not None:
@@ -458,19 +459,18 @@ class PictureProblem(Problem[Array, tuple[Array, Array]]):
         return trial, self._length
 
 
-def score(pose: Array, evidence: PictureEvidence, ws: MonoWorkspace) -> float:
+def score(pose: Array, evidence: PictureEvidence) -> float:
     """Compute the cost by which hypotheses are ranked: all but flow, whose targets differ between hypotheses.
 
     pose: (D,) pose vector, rad and m.
-    evidence, ws: evidence and priors, and scratch memory.
     Source: Sminchisescu & Triggs 2001, section 3.2. Deviation: the printed cost is the edge term alone; here priors,
         interpenetration and, where given, masks, 2D points and the floor are included.
     """
-    return PictureProblem(evidence, ws).evaluate(pose)[0]
+    return PictureProblem(evidence).evaluate(pose)[0]
 
 
 def newton_descent(
-    start: Array, before: Array, evidence: PictureEvidence, coarse: int, iterations: int, ws: MonoWorkspace
+    start: Array, before: Array, evidence: PictureEvidence, coarse: int, iterations: int
 ) -> MonoSolution:
     """Search for the pose of least cost by damped Newton steps.
 
@@ -478,39 +478,25 @@ def newton_descent(
     before: (D,) pose in the previous picture, from which the inner nodes of the flow come.
     evidence: evidence and priors.
     coarse, iterations: number of iterations with the coarse and with the fine scale of the edges.
-    ws: scratch memory.
     Raises: SolverError where the cost at the start is not finite.
     """
-    q, edge, fixed = np.array(start), evidence.arrays.edges.settings, evidence.fixed
+    q, fixed, targets = np.array(start), evidence.fixed, evidence.targets(before)
+    edge = fixed.settings.edge
     q[fixed.active] = np.clip(q[fixed.active], fixed.lower, fixed.upper)
-    n_flow = mono.prepare_terms(plain(before, np.float64), evidence.arrays, ws)
     if coarse:
-        q = PictureProblem(evidence, ws, edge.sigma_px * edge.coarse_factor, n_flow).solve(q, coarse, _DAMPING).state
-    found = PictureProblem(evidence, ws, None, n_flow).solve(q, iterations, _DAMPING)
+        q = PictureProblem(evidence, edge.sigma_px * edge.coarse_factor, targets).solve(q, coarse, _DAMPING).state
+    found = PictureProblem(evidence, None, targets).solve(q, iterations, _DAMPING)
     hessian, gradient = found.equations
     if evidence.prediction is not None:
         hessian = hessian - np.diag(evidence.prediction.weight)
-    cost, counts = score(found.state, evidence, ws), ws.counts.copy()
-    counts[5] = n_flow
+    still = PictureProblem(evidence)
+    cost = still.evaluate(found.state)[0]
+    counts = np.array([*still.counts, 0 if targets is None else len(targets.target)])
     return MonoSolution(found.state, cost, gradient, hessian, counts)
 
 
-def _surface_rows(ws: MonoWorkspace, n: int) -> Rows:
-    """Read the first n rows of the scratch memory; their points are relative to the root."""
-    carrier, values = ws.row_vertices[:n].astype(np.int64), ws.row_values[:n]
-    share, weight = values[:, :3], values[:, 7].copy()
-    point = np.einsum("rc,rcd->rd", share, ws.vertices[carrier])
-    residual = values[:, 6] / np.maximum(weight, 1e-300)
-    return Rows(carrier, share, point, values[:, 3:6], residual, weight, np.zeros(n, np.int64), 0.0)
-
-
 def frame_evidence(
-    fixed: Fixed,
-    picture: Picture,
-    points: KeypointTerm | None,
-    field: NDArray[np.float32],
-    flow: Flow | None,
-    settings: MonoSettings,
+    fixed: Fixed, picture: Picture, points: KeypointTerm | None, field: NDArray[np.float32], flow: Flow | None
 ) -> PictureEvidence:
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
@@ -519,11 +505,7 @@ def frame_evidence(
     points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
         none.
     field: (h, w, 2) edges of the picture, from `field_of`.
-    settings: settings of the cost.
     """
-    arrays = PictureArrays(
-        fixed.model,
-        edge_arrays(field, flow, settings),
-        flow_arrays(flow, settings.flow),
-    )
-    return PictureEvidence(fixed, arrays, mask_contours(picture, settings), points)
+    settings = fixed.settings
+    moving = moving_edges(field, flow, settings.edge.boundary_floor)
+    return PictureEvidence(fixed, moving, flow, mask_contours(picture, settings), points)

@@ -5,13 +5,15 @@ Every ablation of the method is one of these settings.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.skeleton import Skeleton
-from hypose.compute.mono import EdgeSettings, FlowSettings
+from hypose.compute.losses import leclerc, lorentzian
 
 
 def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
@@ -20,6 +22,61 @@ def body_dofs(skeleton: Skeleton) -> NDArray[np.int64]:
     """
     hidden = ("clavicle", "inversion", "twist", "wrist")
     return np.flatnonzero([not any(h in name for h in hidden) for name in skeleton.dof_names])
+
+
+Loss = Callable[[Any, Any], tuple[Any, Any, Any]]
+"""Robust loss of a squared residual, and a factor of its derivatives; see `compute.losses`."""
+
+
+class EdgeSettings(NamedTuple):
+    """Settings of the edge term, which compares contours with image edges.
+
+    loss: robust loss, a function of `compute.losses`.
+    sigma_px: its scale, px.
+    height: nu, the cost of one independent sample that finds no edge.
+    sample_px: px of contour per independent sample.
+    window_px: px that are searched along the normal on either side.
+    spacing_px: distance of the contour's nodes, px.
+    strength: quantile of the image gradient that counts as a full edge.
+    threshold: weakest edge that counts, as a share of a full one.
+    smoothing_px: standard deviation of the smoothing of the image before, px.
+    background: expected cost of a node where no body is, as a share of nu, subtracted from each node. Why: a contour
+        that fits worse than by chance would cost less the shorter it is, so with too low a value limbs hide.
+    occluded: k of equation (5), cost of an occluded node as a share of nu; equal to background, hiding has no effect.
+    boundary_floor: weight of an edge where nothing moves.
+    coarse_factor: factor on sigma in the first iterations.
+    """
+
+    loss: Loss = leclerc
+    sigma_px: float = 3.0
+    height: float = 5.0
+    sample_px: float = 8.0
+    window_px: int = 14
+    spacing_px: float = 6.0
+    strength: float = 0.93
+    threshold: float = 0.08
+    smoothing_px: float = 1.2
+    background: float = 0.8
+    occluded: float = 0.8
+    boundary_floor: float = 0.1
+    coarse_factor: float = 2.0
+
+
+class FlowSettings(NamedTuple):
+    """Settings of the flow term, which compares inner nodes with optical flow.
+
+    loss, sigma_px, height: loss, its scale (px) and height, as for edges.
+    area_px: side of the square that makes one independent sample, px.
+    spacing_px: distance of the grid's nodes, px.
+    consistency_px: nodes with a larger forward-backward error are outliers.
+    """
+
+    loss: Loss = lorentzian
+    sigma_px: float = 1.2
+    height: float = 0.1
+    area_px: float = 14.0
+    spacing_px: float = 8.0
+    consistency_px: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -80,8 +137,6 @@ class MonoSettings:
     inflation: float = 2.0
     frame_rate: float = 25.0
 
-    def robust(self, form: int) -> MonoSettings:
-        """Copy the settings with one form of loss for edges and flow (GAUSSIAN is the ablation without robust
-        losses).
-        """
-        return replace(self, edge=self.edge._replace(form=form), flow=self.flow._replace(form=form))
+    def robust(self, loss: Loss) -> MonoSettings:
+        """Copy the settings with one loss for edges and flow (`quadratic` is the ablation without robust losses)."""
+        return replace(self, edge=self.edge._replace(loss=loss), flow=self.flow._replace(loss=loss))

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hypose.geometry import runs
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.pipeline.assessment import assess
-from hypose.tracking.contacts import runs
 
 ARM = ("left_elbow", "left_wrist")
 ROWS = slice(14, 26)

@@ -33,7 +33,7 @@ def test_an_empty_room_is_another_file_of_the_folder(asked):
     edit_recording, walk, _ = asked
     shown = edit_recording(what="background", view="cam1", path="background/cam4.mp4")
     assert shown["views"][0]["background"] == "cam4.mp4"
-    assert load_recording(walk).views[0].background == walk / "background" / "cam4.mp4"
+    assert load_recording(walk).views[0].files["background"] == walk / "background" / "cam4.mp4"
     for path in ("background/none.mp4", "../../secret.mp4", "/etc/hostname", None):
         assert edit_recording(what="background", view="cam1", path=path, status=400)["error"].endswith(".")
 

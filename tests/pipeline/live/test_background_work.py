@@ -13,8 +13,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks, fitted_body, offsets_of
-from hypose.synthetic.corruptions import Corruptions
-from hypose.synthetic.scenes import camera_rig, make_scene
+from hypose.synthetic.scenes import Corruptions, camera_rig, make_scene
 
 
 def test_masks_are_kept_bit_for_bit(rng):

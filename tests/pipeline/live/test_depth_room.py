@@ -19,7 +19,7 @@ from hypose.pipeline.live.background_work import PackedMasks
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
 from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.recorder import LiveRecorder
-from hypose.tracking.starts import known_pose
+from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step
 
@@ -92,7 +92,7 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
         capture.close()
     assert recorder.close()
     recording = load_recording(tmp_path / "live")
-    room = recording.views[0].background
+    room = recording.views[0].files["background"]
     assert room is not None and len(list(room.glob("*.png"))) >= 3
     masks = [f.silhouettes.masks[0] for f in FrameStream(recording) if f.silhouettes is not None]
     assert max(m.sum() for m in masks) > 0.9 * (someone < 3).sum()

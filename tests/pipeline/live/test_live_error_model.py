@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import LiveErrorModel
+from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.starts import KNOWN_POSES, start_in_pose
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import KNOWN_POSES, scaled_to_height, start_in_pose
 from tests.live_scenes import RATE
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypose.body.default_body import human
 from hypose.pipeline.live.live_people import STATE_EMPTY, STATE_LOST, STATE_SEARCHING, STATE_TRACKING
 from hypose.tracking.left_right import turned_around
-from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.start_search import scaled_to_height
 from tests.conftest import HANG_S
 from tests.live_scenes import RATE, at, follow, nobody, people_for
 
