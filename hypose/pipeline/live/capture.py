@@ -52,6 +52,7 @@ class LiveView:
     stretched: accept pictures of another shape than calibrated.
     depth: it is a depth camera (`open_depth_camera`).
     depth_background: background of a depth camera, where known.
+    loop_s: period after which a video begins again, s; None: it ends.
     """
 
     name: str
@@ -61,6 +62,7 @@ class LiveView:
     stretched: bool = False
     depth: bool = False
     depth_background: DepthBackground | None = None
+    loop_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -361,7 +363,7 @@ def stored(image: NDArray[Any]) -> bytes | None:
 def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
     if view.depth:
         return lambda: open_depth_camera(view.address, rate, begin)
-    return lambda: open_camera(view.address, rate, size, begin)
+    return lambda: open_camera(view.address, rate, size, begin, view.loop_s)
 
 
 # ---- in a process of their own -------------------------------------------------------------------------------------

@@ -42,13 +42,14 @@ class LiveRig:
     no_background: bool = False
 
 
-def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None) -> LiveRig:
+def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None, loop: bool = False) -> LiveRig:
     """Load the cameras for a live run.
 
     path: a recording (folder or recording.toml), or a calibration (file or folder).
     sources: addresses by camera name (see `open_camera`). With them only these cameras are used, and the empty room is
         learned at the start; without, a recording's videos are played.
     rate: Hz; None: that of the recording, else a usual one.
+    loop: play the videos again and again.
     Raises: InputError names the missing input.
     """
     path = Path(path)
@@ -64,7 +65,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
     else:
         rig = recording.rig
     if not sources:
-        return _played(recording, rig, path, rate)
+        return _played(recording, rig, path, rate, loop)
     names = rig.names if recording is None else tuple(v.name for v in recording.views)
     unknown = sorted(set(sources) - set(names))
     if unknown:
@@ -105,7 +106,7 @@ def _check_places(sources: Mapping[str, str]) -> None:
             raise InputError(f"The cameras {both}; say where each of them is.")
 
 
-def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float | None) -> LiveRig:
+def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float | None, loop: bool) -> LiveRig:
     if recording is None:
         raise InputError(
             f"Where are the cameras of {path}? Say so for each, for example --source {rig.names[0]}=0 for the first "
@@ -119,9 +120,10 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         )
     # masks made by other programs do not exist for live pictures
     shown = replace(recording, keypoint_set=None, views=tuple(v.without("masks") for v in recording.views))
+    loop_s = recording.n_frames / recording.frame_rate if loop else None
     small = working_rig(rig, depth=[v in recording.depth_views for v in recording.views])
     views = tuple(
-        LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
+        LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled, loop_s=loop_s)
         if "depth" not in v.files
         else LiveView(
             v.name,
