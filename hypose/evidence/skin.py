@@ -72,7 +72,8 @@ def _density(table: str, rgb: Array) -> Array:
 
 def _bin_centres() -> Array:
     """Return the colours (64, 64, 64, 3) BGR at the centres of the bins."""
-    return (np.stack(np.meshgrid(*[np.arange(_BINS)] * 3, indexing="ij"), -1) + 0.5) * (256 / _BINS)
+    bins = np.arange(0.5, _BINS) * (256 / _BINS)
+    return np.stack(np.meshgrid(bins, bins, bins, indexing="ij"), -1)
 
 
 def skin_posterior(rgb: ArrayLike, prior: float = 0.3) -> Array:

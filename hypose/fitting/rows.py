@@ -126,7 +126,8 @@ def _visible_outline(
     ends = np.where(left[on, None], edges[on][:, :2], edges[on][:, 1::-1]).astype(np.int64)
     way = uv[ends[:, 1]] - uv[ends[:, 0]]
     length = np.hypot(way[:, 0], way[:, 1])
-    ends, way, length = (x[length > 1e-3] for x in (ends, way, length))
+    long = length > 1e-3
+    ends, way, length = ends[long], way[long], length[long]
     count = np.maximum(np.ceil(length / spacing_px), 1).astype(np.int64)
     of = np.repeat(np.arange(len(count)), count)
     along = (np.arange(len(of)) - (np.cumsum(count) - count)[of] + 0.5) / count[of]

@@ -111,10 +111,10 @@ def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     # the header of a 16-bit PNG says so; everything else is decoded as it is
     if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
         return cv2.imdecode(data, cv2.IMREAD_COLOR)
-    depth = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if np.ndim(depth) != 2:
+    levels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if levels is None or levels.ndim != 2:
         return None
-    shade = np.where(depth > 0, np.clip(255 - depth.astype(np.float32) * (200 / 6000), 40, 255), 0)
+    shade = np.where(levels > 0, np.clip(255 - levels.astype(np.float32) * (200 / 6000), 40, 255), 0)
     return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 

@@ -137,6 +137,12 @@ class Nodes(NamedTuple):
     length: Array
     seen: NDArray[np.bool_]
 
+    def among(self, chosen: NDArray[np.bool_]) -> Nodes:
+        """Select nodes by a mask (N,)."""
+        ends, place, uv, depth, normal, length, seen = self
+        at = uv[chosen], depth[chosen], normal[chosen]
+        return Nodes(ends[chosen], place[chosen], *at, length[chosen], seen[chosen])
+
 
 def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Nodes:
     """Place nodes on the occluding contour of the moving parts of a body.
@@ -153,7 +159,8 @@ def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Node
     edges = edges[on].astype(np.int64)
     way = uv[edges[:, 1]] - uv[edges[:, 0]]
     length = np.hypot(way[:, 0], way[:, 1])
-    edges, way, length = (x[length >= 0.3] for x in (edges, way, length))
+    long = length >= 0.3
+    edges, way, length = edges[long], way[long], length[long]
     face = np.where(view.front[edges[:, 2]], edges[:, 2], edges[:, 3])
     third = faces[face].sum(1) - edges[:, 0] - edges[:, 1]
     normal = np.stack([way[:, 1], -way[:, 0]], 1) / length[:, None]
@@ -171,8 +178,7 @@ def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Node
     behind = view.depths(outer)
     hidden = (behind < depth - _HIDDEN) | (view.depths(inner) < depth - ROUND)
     kept = within.all(1) & (hidden | (behind > depth + BEYOND))
-    every = ends, place, at, depth, across, (length / parts)[of], ~hidden
-    return Nodes(*(x[kept] for x in every))
+    return Nodes(ends, place, at, depth, across, (length / parts)[of], ~hidden).among(kept)
 
 
 def line_search(
@@ -222,7 +228,7 @@ def edge_rows(
     unassigned = robust(e.loss, float(e.window_px**2), sigma)[0]
     samples, seen = e.height * nodes.length / e.sample_px, nodes.seen
     cost = 0.5 * float(samples[~seen].sum()) * (e.occluded - e.background) * unassigned
-    nodes, samples = Nodes(*(x[seen] for x in nodes)), samples[seen]
+    nodes, samples = nodes.among(seen), samples[seen]
     offset, strength = line_search(field, nodes.uv, nodes.normal, e.window_px, e.threshold)
     total = strength.sum(1)
     scale = 1 / np.maximum(total, 1.0)
@@ -279,7 +285,9 @@ def flow_targets(view: View, moving: NDArray[np.bool_], flow: Flow, settings: Fl
     one = (c[:, 0] * b[:, 1] - b[:, 0] * c[:, 1]) / area
     two = (a[:, 0] * c[:, 1] - c[:, 0] * a[:, 1]) / area
     share = np.stack([1 - one - two, one, two], 1) / view.depth[carrier]  # weights in space from those in the image
-    return FlowTargets(carrier, share / share.sum(1, keepdims=True), at + flow.flow[v[use], u[use]])
+    return FlowTargets(
+        carrier, share / share.sum(1, keepdims=True), (at + flow.flow[v[use], u[use]]).astype(np.float64)
+    )
 
 
 def flow_rows(posed: Posed, projection: Array, targets: FlowTargets, settings: FlowSettings) -> Rows:
@@ -295,7 +303,7 @@ def flow_rows(posed: Posed, projection: Array, targets: FlowTargets, settings: F
     seen = np.einsum("rc,rcd->rd", share, posed.vertices[carrier]) @ projection[:, :3].T + projection[:, 3]
     front = seen[:, 2] >= _BEHIND_M
     cost = 0.5 * weight * robust(settings.loss, 1e6, settings.sigma_px)[0] * int((~front).sum())
-    carrier, share, target, seen = (x[front] for x in (carrier, share, target, seen))
+    carrier, share, target, seen = carrier[front], share[front], target[front], seen[front]
     uv, depth = seen[:, :2] / seen[:, 2:], seen[:, 2]
     s = ((uv - target) ** 2).sum(1)
     rho, first, second = robust(settings.loss, s, settings.sigma_px)
