@@ -456,16 +456,22 @@ def focal_findings(rig: CameraRig, disagree: Callable[[CameraRig, list[int]], fl
         return
 
     def best(kept: list[int], x: float) -> float:
-        """Compute the logarithm of the factor with which some views disagree least, from a parabola through trials."""
+        """Compute the logarithm of the factor with which some views disagree least, from a parabola through trials; NaN
+        where the parabola has no least value.
+        """
         for reach in _REACHES:
             steps = reach * np.linspace(-1, 1, 5)
             trials = [[apply_parameters(rig[c], np.r_[np.zeros(6), x + step]) for c in kept] for step in steps]
             squares = np.array([disagree(CameraRig(tuple(cameras)), kept) ** 2 for cameras in trials])
             bend, slope, _ = np.polyfit(steps, squares, 2) if np.isfinite(squares).all() else np.zeros(3)
-            x += float(np.clip(-0.5 * slope / bend, -1.5 * reach, 1.5 * reach)) if bend > 0 else np.nan
+            if bend <= 0:
+                return np.nan
+            x += float(np.clip(-0.5 * slope / bend, -1.5 * reach, 1.5 * reach))
         return x
 
     x = best(views, 0.0)
+    if np.isnan(x):
+        return
     moves = np.array([best([v for v in views if v != c], x) - x for c in views])
     off, sd = abs(x), float(np.sqrt((1 - 1 / len(views)) * (moves**2).sum()))
     if off > max(_FAULT_LOG_FACTOR, LIKELY * sd) and sd < KNOWN:

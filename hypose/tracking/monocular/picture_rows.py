@@ -21,7 +21,7 @@ from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 from hypose.tracking.monocular.settings import EdgeSettings, FlowSettings, Loss
 
-NEAR = 0.1
+_CLOSEST_M = 0.1
 """m; faces with a corner nearer than this are not seen."""
 _HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
 """m of depth at a contour node. _HIDDEN: the node is occluded where its outer side lies so far behind another surface;
@@ -79,7 +79,7 @@ def view_of(posed: Posed, camera: Camera) -> View:
     faces, size = np.asarray(posed.mesh.faces), np.array(camera.size)
     one, two = uv[faces[:, 1]] - uv[faces[:, 0]], uv[faces[:, 2]] - uv[faces[:, 0]]
     # pixels run downwards: counter-clockwise from outside has a negative area
-    front = (one[:, 0] * two[:, 1] - two[:, 0] * one[:, 1] < -1e-9) & (depth[faces] > NEAR).all(1)
+    front = (one[:, 0] * two[:, 1] - two[:, 0] * one[:, 1] < -1e-9) & (depth[faces] > _CLOSEST_M).all(1)
     low, high = (np.clip(reach[:, k] + d, 0, size).astype(np.int64) for k, d in ((0, -_MARGIN), (1, 1 + _MARGIN)))
     w, h = np.maximum(high - low, 0).tolist()
     nearest, face = np.zeros((h, w), np.float32), np.full((h, w), -1, np.int32)
@@ -155,7 +155,9 @@ def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Node
     (kept), or not a contour (omitted).
     """
     edges, faces, uv = np.asarray(view.posed.mesh.edges), np.asarray(view.posed.mesh.faces), view.uv
-    on = (view.front[edges[:, 2]] != view.front[edges[:, 3]]) & (moving & (view.depth > NEAR))[edges[:, :2]].all(1)
+    on = (view.front[edges[:, 2]] != view.front[edges[:, 3]]) & (moving & (view.depth > _CLOSEST_M))[edges[:, :2]].all(
+        1
+    )
     edges = edges[on].astype(np.int64)
     way = uv[edges[:, 1]] - uv[edges[:, 0]]
     length = np.hypot(way[:, 0], way[:, 1])
