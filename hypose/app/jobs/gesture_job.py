@@ -276,7 +276,7 @@ def gesture_train(
     check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
-        growing_model(out, gesture)  # refuses to replace the model of another gesture, and what is none
+        growing_model(out, gesture)  # refuses to replace the model of another gesture, or a file that is no model
         how = f"to go on with it, stop and add --resume {out}"
         print_note(f"note: {out} holds a model of {gesture} already, which will be replaced; {how}.")
     if recording:
