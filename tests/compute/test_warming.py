@@ -34,8 +34,8 @@ def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
     here, others = parts
     warm_up("solver", load=False)  # nothing to share out
     assert (here, others) == (["solver"], [])
-    warm_up("solver", "scorer", "outlines", load=False)
-    assert (here, sorted(others)) == (["solver"], ["outlines", "scorer"])
+    warm_up("solver", "scorer", "pictures", load=False)
+    assert (here, sorted(others)) == (["solver"], ["pictures", "scorer"])
     warm_up("scorer")
     assert here == ["solver", "scorer"] and kept("solver", "scorer")
 
