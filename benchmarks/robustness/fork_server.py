@@ -31,7 +31,7 @@ from hypose.compute.warming import warm_up
 _PIPE_BYTES = 1 << 20  # what a command may print before it would have to wait for a reader
 _MODULES = (
     *("cli", "jobs.job", "jobs.fuse_job", "jobs.gesture_job", "jobs.checking", "jobs.correct"),
-    *("reports.report", "reports.result_pictures", "reports.charts", "batch", "studio.server"),
+    *("reports.report", "reports.result_pictures", "reports.report_parts", "batch", "studio.server"),
 )
 
 

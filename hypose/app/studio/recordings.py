@@ -30,7 +30,7 @@ from hypose.app.studio.job_kinds import (
     read_found,
     uncalibrated,
 )
-from hypose.app.studio.results import OpenRecording
+from hypose.app.studio.pictures import OpenRecording
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import threading
 import zlib
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.default_body import human
@@ -39,26 +39,39 @@ class KeptFrame:
 
     time: s.
     shared: other people cover a part of the masks.
-    data: compressed frame.
+    bare: the frame with empty masks and depth maps.
+    data: compressed masks, then ignored pixels where others cover any, then depth maps where there are any.
     """
 
     time: float
     shared: bool
-    data: bytes
+    bare: Frame
+    data: tuple[bytes, ...]
 
     @staticmethod
     def of(frame: Frame) -> KeptFrame:
         """Compress a frame, which must have masks."""
-        masks = frame.the(Silhouettes)
-        kept = Frame(frame.time, frame.index, replace(masks))  # a copy is without computed results
+        masks, nothing = frame.the(Silhouettes), np.zeros((0, 0, 0), np.uint8)
+        bare = Frame(frame.time, frame.index, replace(masks, masks=nothing, ignored=None, owners=None))
+        arrays: list[NDArray[Any]] = [masks.masks, *([] if masks.ignored is None else [masks.ignored])]
         for depth in frame.of(Depth):
-            own = np.where(depth.person > 0, depth.maps, np.float32(0))
-            kept = replace(kept, depth=replace(depth, maps=own))
-        return KeptFrame(frame.time, masks.ignored is not None, zlib.compress(pickle.dumps(kept), 1))
+            arrays += [depth.person, np.where(depth.person > 0, depth.maps, np.float32(0))]
+            bare = replace(bare, depth=replace(depth, maps=nothing.astype(np.float32), person=nothing))
+        data = tuple(zlib.compress(array.tobytes(), 1) for array in arrays)
+        return KeptFrame(frame.time, masks.ignored is not None, bare, data)
 
     def frame(self) -> Frame:
         """Restore the frame; depth outside the person is 0."""
-        return pickle.loads(zlib.decompress(self.data))  # noqa: S301 (made by this program)
+        silhouettes, plain = self.bare.the(Silhouettes), [bytearray(zlib.decompress(data)) for data in self.data]
+        width, height = silhouettes.rig.sizes.max(0).tolist()
+        shape = len(silhouettes.rig), height, width
+        masks, *more = [np.frombuffer(data, np.uint8).reshape(*shape, -1) for data in plain]
+        ignored = more.pop(0)[..., 0] if self.shared else None
+        frame = replace(self.bare, silhouettes=replace(silhouettes, masks=masks[..., 0], ignored=ignored))
+        for depth in self.bare.of(Depth):
+            person, maps = more
+            frame = replace(frame, depth=replace(depth, person=person[..., 0], maps=maps.view(np.float32)[..., 0]))
+        return frame
 
 
 def fitted_body(kept: Sequence[KeptFrame], rate: float, height: float | None, seed: int) -> Body | None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.pictures import OpenRecording
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.results import OpenRecording
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.write_recording import walking_scene, write_depth_scene
