@@ -149,7 +149,6 @@ def _clip(o: Observed, c: int, clip: ViewFile) -> Observed:
 
 
 def _points(o: Observed, c: int, xy: Array, order: ArrayLike | None = None) -> Observed:
-    assert o.keypoints is not None
     points = o.keypoints.copy()
     points[c, ..., :2] = np.where(points[c, ..., 2:] > 0, xy, 0.0)
     if order is not None:
@@ -179,7 +178,6 @@ def _size(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 
 def _scaled(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    assert o.keypoints is not None
     f = float(rng.choice([0.5, 0.75, 2.0]))
     made = _points(o, c, (o.keypoints[c, ..., :2] + 0.5) * f - 0.5)
     if rng.random() < 0.5:
@@ -189,7 +187,6 @@ def _scaled(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 
 def _cropped(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    assert o.keypoints is not None
     w, h = o.rig[c].size
     cut = round(float(rng.uniform(0.1, 0.2)) * w)
     left = int(rng.choice([0, cut // 2, cut]))
@@ -213,7 +210,6 @@ def _frame_count(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 
 def _keypoint_lag(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    assert o.keypoints is not None
     lag = int(rng.choice([-2, -1, 1, 2, 3]))
     points = np.zeros_like(o.keypoints)
     n = points.shape[1]
@@ -222,7 +218,6 @@ def _keypoint_lag(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 
 def _keypoint_shift(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    assert o.keypoints is not None
     angle, size = rng.uniform(0, 2 * np.pi), rng.uniform(5, 12)
     shift = size * np.array([np.cos(angle), 0.6 * np.sin(angle)])
     # the images are shifted, the key points agree with the calibration
@@ -266,19 +261,17 @@ def _unit(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 def _mirrored(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     w, _ = o.rig[c].size
-    xy = (
-        np.zeros(2) if o.keypoints is None else np.array([w - 1.0, 0]) + np.array([-1.0, 1.0]) * o.keypoints[c, ..., :2]
-    )
+    xy = np.array([w - 1.0, 0]) + np.array([-1.0, 1.0]) * o.keypoints[c, ..., :2]
     return _flipped(o, c, "mirrored", xy, other_sides(o.names), 1)
 
 
 def _turned(o: Observed, c: int, rng: np.random.Generator) -> Planted:
-    xy = np.zeros(2) if o.keypoints is None else np.array(o.rig[c].size) - 1.0 - o.keypoints[c, ..., :2]
+    xy = np.array(o.rig[c].size) - 1.0 - o.keypoints[c, ..., :2]
     return _flipped(o, c, "turned", xy, None, -1)
 
 
 def _flipped(o: Observed, c: int, kind: str, xy: Array, order: ArrayLike | None, code: int) -> Planted:
-    made = o if o.keypoints is None else _points(o, c, xy, order)
+    made = o if not o.keypoints.size else _points(o, c, xy, order)
     return Planted(kind, _masks(made, c, lambda m: cv2.flip(m, code)), (kind,), (o.rig.names[c],))
 
 
@@ -320,7 +313,7 @@ def planted(base: Planted, kind: str, seed: int) -> Planted:
     if kind == "late":
         late = [0] * len(o.rig)
         late[c] = int(rng.integers(1, 6))
-        made = healthy(seed, late=late, keypoints=o.keypoints is not None)
+        made = healthy(seed, late=late, keypoints=o.keypoints.size > 0)
         return Planted("late", made.observed, ("late",), (o.rig.names[c],))
     return FAULTS[kind](o, c, rng)
 
@@ -330,11 +323,9 @@ def with_bystander(fault: Planted, seed: int) -> Planted:
     given the person whom `hypose.evidence.one_person` finds among both. The same fault is planted into what the
     detector says of the other one; the masks show the person alone, as they do once others are cut off."""
     o = fault.observed
-    assert o.keypoints is not None
     rng = np.random.default_rng([seed, 79])
     names, own = o.rig.names, o.keypoints
     base = healthy(seed)
-    assert base.observed.keypoints is not None
     theirs = _of_bystander(base.observed.rig, seed, own.shape[1])
     other = Planted("other", replace(base.observed, keypoints=theirs))
     if fault.kinds and fault.name != "late":

@@ -103,7 +103,9 @@ def align_to_masks(
         t = np.arange(count) + lag
         x, y = np.moveaxis(np.clip(np.rint(places + shift), 0, [w - 1, h - 1]).astype(int), -1, 0)
         values = depth[np.where((t >= 0) & (t < count), t, count)[:, None, None], y, x]
-        return np.nanmean(np.where(shown[:, None], values, np.nan), (0, 1))
+        known = shown[:, None] & np.isfinite(values)
+        total, number = np.where(known, values, 0.0).sum((0, 1)), known.sum((0, 1))
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
     curves = np.stack([depths(lag, np.zeros(2)) for lag in range(-_LARGEST_LAG, _LARGEST_LAG + 1)])
 

@@ -308,7 +308,8 @@ def diagnose(views: CameraViews, board: Board) -> str:
         return "a board of this size was seen, but not well enough to measure it"
     for name in _DICTIONARIES if seen is None else ():
         if _markers_seen(grays, replace(board, dictionary=name, inverted=charuco and board.inverted)):
-            return f"markers of the dictionary {name} were seen" + ("" if charuco else ": is it a ChArUco board?")
+            another = f"markers of another dictionary, {name}, were seen"
+            return another if charuco else f"markers of the dictionary {name} were seen: is it a ChArUco board?"
     seen = seen or chessboard_seen(grays, board.size)
     what = " without markers" if charuco else ""
     return f"a chessboard of {seen[0]} x {seen[1]} inner corners{what} was seen instead" if seen else ""

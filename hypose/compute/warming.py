@@ -41,11 +41,12 @@ from hypose.compute.arrays import (
     prepare_masks,
 )
 from hypose.compute.compiled import cache_file, failures, make_folder
-from hypose.compute.kinematics import forward_kinematics, skin
+from hypose.compute.kinematics import forward_kinematics, joint_frames, skin
+from hypose.compute.linear import weighted_squares
 from hypose.compute.parts import covered
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from hypose.compute.solver import solve, workspace
+from hypose.compute.solver import bounded_step, solve, workspace
 from hypose.compute.threads import default_threads
 from hypose.compute.zbuffer import rasterize
 
@@ -145,8 +146,10 @@ def _depth() -> None:
 
 
 def _monocular() -> None:
-    """Call the kernels that draw a body for one camera."""
-    mesh = _toy()[1]
+    """Call the kernels that draw a body for one camera, and those of its least-squares steps."""
+    tree, mesh, q, _ = _toy()
+    joint_frames(q, tree, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros((6, 6)))
+    bounded_step(*weighted_squares(np.eye(1), np.ones(1), np.ones(1)), np.zeros(1), -np.ones(1), np.ones(1), 1.0)
     rasterize(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32))
 
 
@@ -155,7 +158,7 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "scorer": (_scorer, _points),
     "outlines": (_outlines,),
     "pictures": (picture_to_mask.warm_up,),
-    "monocular": (_monocular,),
+    "monocular": (_outlines, _monocular),
     "depth": (_depth,),
 }
 """Groups of kernels by name, the one that takes longest in mask tracking first. solver: poses from contours, key points

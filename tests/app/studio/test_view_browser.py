@@ -148,9 +148,8 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_a_report_is_the_same_view_from_disk(served, page, tmp_path):
-    recording = load_recording(served / "walk")
     result = load_view(served / "walk" / "results" / "default")
-    text = report_html(result, drawn_of(result, recording))
+    text = report_html(result, drawn_of(result))
     assert PLACE in text
     file = tmp_path / "report with spaces.html"
     file.write_text(text, encoding="utf-8")
