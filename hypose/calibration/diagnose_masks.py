@@ -1,8 +1,6 @@
-"""Diagnostics with silhouettes: compared with key points, and with the silhouettes of other views.
+"""Diagnostics with silhouettes: compared with the silhouettes of other views.
 
-Key points against masks: the middle of a limb lies deeper in the mask than its surroundings, so the depth of many limbs
-shows by how much the key points of a view are shifted or early.
-Silhouettes against each other: the planes through two camera centres that are tangent to the person must be the same in
+The planes through two camera centres that are tangent to the person must be the same in
 both views (frontier points, Sinha and Pollefeys 2010). They give less information than key points, two planes per pair
 and frame: mirrored, turned and exchanged views, timing, wrong poses and units are found, lens coefficients are not.
 """
@@ -15,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.calibration.bundle import apply_parameters
 from hypose.calibration.diagnose_person import ViewReport, height_findings
@@ -31,108 +28,9 @@ from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits
 from hypose.calibration.refine_points import CameraChange, changes
 from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, tangent_planes
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute.mask_distance import signed_distance
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import Trial, geometric_trials
-from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
-
-# ---- key points against masks --------------------------------------------------------------------------------------
-
-
-_LIMBS = tuple(
-    (f"{side}_{a}", f"{side}_{b}")
-    for side in ("left", "right")
-    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
-)
-_ALONG = (0.35, 0.5, 0.65)  # places on a limb that are judged, shares of its length
-_DEPTH = 0.03  # of the person's size: depth in the mask above which a place is simply inside
-_LARGEST_LAG = 6  # frames
-_FEWEST = 60  # places and frames in which a limb is seen
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """The alignment of one view's key points with its masks.
-
-    lag: number of frames: the key points of frame t belong to video frame t + lag.
-    lag_sd: standard deviation of the lag, frames.
-    shift: (2,) x and y to add to image positions so that masks and key points agree, px of the masks.
-    shift_sd: (2,) standard deviation of the shift, px of the masks.
-    """
-
-    lag: float
-    lag_sd: float
-    shift: Array
-    shift_sd: Array
-
-
-def align_to_masks(
-    points: Array, names: Sequence[str], silhouettes: Sequence[Silhouettes | None], view: int
-) -> Alignment | None:
-    """Estimate the lag and shift between the key points and the masks of one view, which put the limbs deepest in the
-    masks.
-
-    points: (T, K, 3) px of the masks, and confidence.
-    names: K names of the key points.
-    silhouettes: T, of consecutive frames.
-    view: index of the view.
-    Returns: None where too few limbs are seen.
-    Why: standard deviations are those of a jackknife over limbs, because the error of a limb is the same in all frames
-        (clothes, where a detector places a joint).
-    """
-    from scipy.optimize import minimize  # takes long to import
-
-    found = [size for p in points if (size := person_size(p, least=5)) > 0]
-    there = [t for t, s in enumerate(silhouettes) if s is not None and s.usable[view]]
-    limbs = np.array([(names.index(a), names.index(b)) for a, b in _LIMBS if a in names and b in names]).reshape(-1, 2)
-    shown = points[:, limbs, 2].min(-1) > 0.4
-    seen = shown[there].sum(0) * len(_ALONG) >= _FEWEST
-    if not found or seen.sum() < 4:
-        return None
-    limbs, shown, deep = limbs[seen], shown[:, seen], _DEPTH * float(np.median(found))
-    masks = np.stack([s.masks[view] for s in silhouettes if s is not None and s.usable[view]])
-    (w, h), count = next(s.rig[view].size for s in silhouettes if s is not None), len(points)
-    depth = np.full((count + 1, *masks.shape[1:]), np.nan)  # the last for frames outside the clip
-    depth[there] = np.clip(-signed_distance(masks, np.tile([w, h], (len(masks), 1))), -deep, deep)
-    share = np.array(_ALONG)[:, None, None]
-    places = (1 - share) * points[:, None, limbs[:, 0], :2] + share * points[:, None, limbs[:, 1], :2]
-
-    def depths(lag: int, shift: Array) -> Array:
-        """Compute the mean depth (L,) of limbs in the masks `lag` frames later, after a shift (2,) of the points."""
-        t = np.arange(count) + lag
-        x, y = np.moveaxis(np.clip(np.rint(places + shift), 0, [w - 1, h - 1]).astype(int), -1, 0)
-        values = depth[np.where((t >= 0) & (t < count), t, count)[:, None, None], y, x]
-        known = shown[:, None] & np.isfinite(values)
-        total, number = np.where(known, values, 0.0).sum((0, 1)), known.sum((0, 1))
-        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
-
-    curves = np.stack([depths(lag, np.zeros(2)) for lag in range(-_LARGEST_LAG, _LARGEST_LAG + 1)])
-
-    def best_lag(kept: NDArray[np.int64]) -> float:
-        curve = curves[:, kept].mean(1)
-        k = int(np.clip(curve.argmax(), 1, len(curve) - 2))
-        bend = curve[k - 1] - 2 * curve[k] + curve[k + 1]
-        return k - _LARGEST_LAG + (0.5 * (curve[k - 1] - curve[k + 1]) / bend if bend < 0 else 0.0)
-
-    every = np.arange(len(limbs))
-    lag = best_lag(every)
-
-    def best_shift(kept: NDArray[np.int64]) -> Array:
-        simplex = 0.7 * deep * np.array([[0.0, 0], [1, 0], [0, 1]])
-        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-4, "maxiter": 60}
-
-        def shallow(x: Array) -> float:
-            return -float(depths(round(lag), x)[kept].mean())
-
-        return np.asarray(minimize(shallow, np.zeros(2), method="Nelder-Mead", options=options).x)
-
-    without = [every[every != k] for k in every]
-    spread = np.sqrt(len(every) - 1)
-    lag_sd = spread * np.std([best_lag(kept) for kept in without])
-    shift_sd = spread * np.std([best_shift(kept) for kept in without], axis=0)
-    return Alignment(lag, float(lag_sd), -best_shift(every), shift_sd)
-
 
 # ---- silhouettes against each other --------------------------------------------------------------------------------
 

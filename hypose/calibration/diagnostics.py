@@ -15,7 +15,6 @@ import numpy as np
 
 from hypose.calibration.diagnose_masks import (
     MaskViews,
-    align_to_masks,
     examine_silhouettes,
     focal_findings,
     tangency_by_view,
@@ -23,6 +22,7 @@ from hypose.calibration.diagnose_masks import (
 from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_findings, person_findings
 from hypose.calibration.diagnose_points import judge_extrinsics, late_views, timing_findings, undo_point_faults
 from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile, depth_findings
+from hypose.calibration.limb_offsets import align_to_masks, view_masks
 from hypose.calibration.refine_points import CameraChange, left_out_residual, point_residual
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import CameraRig
@@ -103,7 +103,7 @@ def examine(observed: Observed) -> tuple[PersonReport, Cured]:
     gross, rig, pixels = undo_point_faults(observed.rig, points, observed.names, stored, o, most=3, every=every)
     findings += gross
     inverted = any(f.kind == "inverted" for f in gross)
-    scaled = {name for f in findings if f.fault and f.kind in ("scaled", "cropped", "size") for name in f.views}
+    scaled = {name for f in gross if f.kind in ("scaled", "cropped") for name in f.views}
     lag, shift = _against_masks(observed, pixels, scaled, findings, o)
     late = sd = np.zeros(n)
     if not inverted:
@@ -147,7 +147,7 @@ def _against_masks(
     uv, confidence = undistorted(rig, np.where(cured[:, None, None, None], pixels, observed.keypoints))
     ratio = rig.sizes / small.sizes
     points = np.concatenate([(uv + 0.5) / ratio[:, None, None] - 0.5, confidence[..., None]], -1)
-    made = [align_to_masks(p, observed.names, observed.silhouettes, c) for c, p in enumerate(points)]
+    made = [align_to_masks(p, observed.names, view_masks(observed.silhouettes, c)) for c, p in enumerate(points)]
     known = [c for c, a in enumerate(made) if a is not None]
     if not known:
         return 0, shift
