@@ -297,6 +297,27 @@ class RefineRivals:
         return kept
 
 
+@dataclass(frozen=True)
+class SolvePrediction:
+    """Search kernel that solves a pose from the prediction and sets all hypotheses to the solution, as the start of
+    a search of single limbs.
+
+    One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
+    rivals: kernel of a later layer, of which parts run in parallel with this one and the next ones.
+    """
+
+    options: SolveSettings
+    rivals: RefineRivals
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """Return the set with all hypotheses at the solved pose."""
+        self.rivals.before_solve(frame)
+        pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
+        moved = h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [min(1, h.count - 1)])
+        self.rivals.before_search(moved, frame)
+        return moved
+
+
 def rival_arms(
     arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp, known: Array | None = None
 ) -> list[Array]:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import reach
-from hypose.compute.arrays import FIXED, PreparedMasks, Standing, TreeArrays
-from hypose.compute.kinematics import forward_kinematics
+from hypose.compute.arrays import Standing
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
@@ -32,7 +31,6 @@ _WIDTH = (0.09, 0.07, 0.06)
 """m, width of upper arm, forearm and hand; a point stands for its share of the part's area"""
 _ENDS = [2, 5, 7]
 """indices of the points at elbow, wrist, and near the tip of the hand"""
-_Way = tuple[list[int], TreeArrays]
 
 
 @dataclass(frozen=True)
@@ -66,11 +64,7 @@ class ArmReach:
 
     def here(self, poses: Array) -> Array:
         """Compute the arm's points (N, 8, 3), m, in the poses (N, D) of a body, in the parent's frame."""
-        return _points(self._way, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
-
-    @cached_property
-    def _way(self) -> _Way:
-        return _way_to(self.chain[2], self.own, self.body.skeleton.tree)
+        return _points(self.body, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
 
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: Standing, cutoff: float) -> Array:
         """Compute how badly arms at given points fit the masks of a frame, in m^2, summed over the views.
@@ -81,19 +75,9 @@ class ArmReach:
         cutoff: points are no longer counted once the score is above it.
         Returns: (N,) scores, exact up to the cutoff; larger ones are only known to be above it.
         """
-        return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
-
-    def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute how badly arms at given points fit given masks, in m^2, as `score` does for the masks of a frame.
-
-        points: (N, 8, 3) in the parent's frame, m; pose: (D,) pose of the rest of the body; rest: drawing of the
-            parts that do not move.
-        cutoff: points are no longer counted once the score is above it.
-        masks: prepared for the scorer.
-        Returns: (N,) scores, exact up to the cutoff.
-        """
         rotation, centre = self.body.skeleton.forward(pose)
-        return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
+        place = rotation[self.parent], centre[self.parent]
+        return reach.score_points(points, self.area, *place, frame.silhouettes.masks, rest, cutoff)
 
 
 def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
@@ -149,7 +133,7 @@ def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, c
     lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(tip)]
     area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
     moving = np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in joints])
-    points = _points(_way_to(c, own, s.tree), poses, own, parent, (a, b, c), tip)
+    points = _points(body, poses, own, parent, (a, b, c), tip)
     return ArmReach(body, own, parent, (a, b, c), tip, moving, poses, points, np.array(area))
 
 
@@ -173,31 +157,17 @@ def _evenly_spread(count: int, dimension: int) -> Array:
 
 
 def _points(
-    the_way: _Way, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
+    body: Body, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
 ) -> Array:
     """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
 
-    the_way: as returned by `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of
-        the hand in the wrist's frame, m.
+    own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of the hand in the wrist's frame, m.
     """
-    way, tree = the_way
-    poses = np.zeros((len(values), len(tree.axes)))
+    poses = np.zeros((len(values), body.skeleton.dof))
     poses[:, own] = values
     # nothing else is turned, so the parent's frame is that of the world
-    rotations, centres = forward_kinematics(poses, tree)
-    at = centres[:, [*map(way.index, chain), -1]]
-    at[:, 3] += np.einsum("nij,j->ni", rotations[:, -1], tip)
+    rotations, centres = body.skeleton.forward(poses)
+    at = centres[:, [*chain, chain[2]]]
+    at[:, 3] += np.einsum("nij,j->ni", rotations[:, chain[2]], tip)
     begin = at[:, _PART]
-    found = begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, way.index(parent)]
-    return np.ascontiguousarray(found)
-
-
-def _way_to(joint: int, own: NDArray[np.int64], tree: TreeArrays) -> _Way:
-    """Reduce the joint tree to the joints from the root to a joint; only the coordinates own (d,) remain movable."""
-    way = [joint]
-    while (parent := int(tree.parents[way[0]])) >= 0:
-        way.insert(0, parent)
-    kind = np.where(np.isin(way, tree.joint_of_dof[own]), tree.kind[way], FIXED)
-    parents = np.arange(-1, len(way) - 1)
-    given = tree._replace(parents=parents, kind=kind, dof_start=tree.dof_start[way], dof_count=tree.dof_count[way])
-    return way, given._replace(joints=tree.joints[way])
+    return np.ascontiguousarray(begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, parent])

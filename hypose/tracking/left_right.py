@@ -40,7 +40,7 @@ def turned_around(body: Body, pose: Array) -> Array:
     wanted = joints[other_sides(s.joint_names)]
     start = s.clamp(turn_pose(pose, np.pi))
     start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
-    return _with_joints_at(body, wanted, start)
+    return with_joints_at(body, wanted, start)
 
 
 def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool = False) -> Array:
@@ -59,7 +59,7 @@ def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool 
     for part in parts:
         left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
         start[left], start[right] = pose[right], pose[left]
-    return _with_joints_at(body, wanted, s.clamp(start))
+    return with_joints_at(body, wanted, s.clamp(start))
 
 
 def strain(skeleton: Skeleton, poses: Array) -> Array:
@@ -136,10 +136,13 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     return best
 
 
-def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
-    """Solve for the pose (D,) whose joint centres lie at `wanted` (J, 3), m, from a start pose (D,)."""
+def with_joints_at(body: Body, wanted: Array, start: Array, sd: float = 0.03) -> Array:
+    """Solve for the pose (D,) whose joint centres lie at `wanted` (J, 3), m, from a start pose (D,).
+
+    sd: m, distance beyond which a joint pulls less.
+    """
     count = len(wanted)
-    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
+    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), sd)
     return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
 
 

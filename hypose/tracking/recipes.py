@@ -26,7 +26,7 @@ from hypose.inference.kernels import every, reflect
 from hypose.inference.layer import Layer, Recipe, Recovery, go_on
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.arm_hypotheses import RefineRivals
+from hypose.tracking.arm_hypotheses import RefineRivals, SolvePrediction
 from hypose.tracking.arm_workspace import arm_reach, in_practice
 from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
@@ -37,7 +37,6 @@ from hypose.tracking.refinement import (
     SOLVED,
     ContourRefinement,
     InTurn,
-    SolvePrediction,
     settled_start,
     solved,
     uncertainty_of_pose,

@@ -23,7 +23,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
 from hypose.tracking.frame_evidence import KeypointModel, PreparedFrame, agreement, mean_overlap, prepare, view_count
-from hypose.tracking.refinement import PoseUncertainty, nothing_known, uncertainty_of_set
+from hypose.tracking.refinement import PoseUncertainty, packed, uncertainty_of_set
 
 RECOVERED = f"{FOUND_BY}recovery"
 """Origin of an estimate that was found after a loss."""
@@ -476,7 +476,7 @@ class Tracker:
             state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost, state.memory
         )
         rivals, weights = self._rivals(None)
-        nothing = nothing_known(covariance, s.dof)
+        nothing = PoseUncertainty(covariance, packed(np.zeros((s.dof, s.dof))))
         still = np.zeros(len(s.joint_names) if self.recipe.rivals else 0, np.float32)
         return following, FrameEstimate(
             prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights, moved=still
