@@ -26,6 +26,7 @@ from hypose.evidence.people import occupied_space
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
+from hypose.inference.resampling import distinct
 from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
 from hypose.tracking.left_right import strain, turned_around, with_joints_at
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
@@ -468,16 +469,9 @@ def _own(frame: PreparedFrame, body: Body, pose: Array) -> PreparedFrame:
 
 def _different(starts: Sequence[Start], count: int) -> list[Start]:
     """Select the best starts that lie apart from each other, best first."""
-    kept: list[Start] = []
-    at: list[Array] = []
-    for start in sorted(starts, key=lambda s: s.cost):
-        joints = start.body.joints(start.pose[None])[0]
-        if all(np.linalg.norm(joints - other, axis=-1).mean() > _APART_M for other in at):
-            kept.append(start)
-            at.append(joints)
-        if len(kept) == count:
-            break
-    return kept
+    ranked = sorted(starts, key=lambda s: s.cost)
+    at = np.array([s.body.joints(s.pose) for s in ranked])
+    return [ranked[n] for n in distinct(at, count, _APART_M, np.mean)]
 
 
 # ---- postures ----
@@ -568,12 +562,11 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
     trunk = so3_exp([np.radians(lean), 0.0, 0.0])
     rest = s.rest_joints
     wanted = rest @ trunk.T
-    (left_upper, left_fore), (right_upper, right_fore) = _ARMS[left_arm], _ARMS[right_arm]
     chains = [
         ("left", ("hip", "knee", "ankle"), directions[:2]),
         ("right", ("hip", "knee", "ankle"), directions[2:]),
-        ("left", ("shoulder", "elbow", "wrist"), [left_upper, left_fore]),
-        ("right", ("shoulder", "elbow", "wrist"), [_mirrored(right_upper), _mirrored(right_fore)]),
+        ("left", ("shoulder", "elbow", "wrist"), _ARMS[left_arm]),
+        ("right", ("shoulder", "elbow", "wrist"), np.array(_ARMS[right_arm]) * (-1, 1, 1)),
     ]
     for side, chain, ways in chains:
         joints = [s.joint(f"{side}_{part}") for part in chain]
@@ -586,8 +579,3 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
         start[s.dofs_of(f"{side}_hip")[0]] = -0.4
         start[s.dofs_of(f"{side}_knee")] = 0.4
     return with_joints_at(body, wanted, s.clamp(start), 0.05)
-
-
-def _mirrored(way: Vector) -> Vector:
-    """Mirror a direction: the first coordinate, to the person's left, changes its sign."""
-    return -way[0], way[1], way[2]
