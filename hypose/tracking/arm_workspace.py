@@ -7,11 +7,9 @@ the masks as points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
@@ -33,38 +31,53 @@ _ENDS = [2, 5, 7]
 """indices of the points at elbow, wrist, and near the tip of the hand"""
 
 
-@dataclass(frozen=True)
 class ArmReach:
     """Table of an arm's poses over its whole reach.
 
     body: the body of the arm.
+    joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
+    lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
+    count: number N of poses.
+    Attributes: body, and
     own: (d,) the arm's coordinates.
     parent: joint that carries the arm (the chest); chain: indices of shoulder, elbow and wrist.
     tip: (3,) tip of the hand in the wrist's frame, m.
     moving: (J,) true for the arm's joints.
     poses: (N, d) values of the coordinates.
-    points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m.
+    points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m; ends: (N, 3, 3) elbow, wrist and hand.
     area: (8,) area that each point stands for, m^2.
     """
 
-    body: Body
-    own: NDArray[np.int64]
-    parent: int
-    chain: tuple[int, int, int]
-    tip: Array
-    moving: NDArray[np.bool_]
-    poses: Array
-    points: Array
-    area: Array
+    def __init__(self, body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> None:
+        s, side = body.skeleton, joints[0].split("_")[0]
+        index = [s.joint(name) for name in joints]
+        self.body, self.own, self.parent = body, s.dofs_of(*joints), int(s.parents[min(index)])
+        self.chain = a, b, c = tuple(s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
+        self.tip: Array = body.landmarks.offset[body.landmarks.index(f"{side}_hand_tip")]
+        self.moving = np.isin(np.arange(len(s.joint_names)), index)
+        spread = _evenly_spread(count, len(self.own))
+        self.poses: Array = lower[self.own] + (upper - lower)[self.own] * spread
+        bones = s.rest_joints[[b, c]] - s.rest_joints[[a, b]]
+        lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(self.tip)]
+        area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
+        self.area, self.points = np.array(area), self._points(self.poses)
+        self.ends = np.ascontiguousarray(ends(self.points))
 
-    @cached_property
-    def ends(self) -> Array:
-        """Positions (N, 3, 3) of elbow, wrist and hand in all poses of the table, in the parent's frame, m."""
-        return np.ascontiguousarray(ends(self.points))
+    def _points(self, values: Array) -> Array:
+        """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates."""
+        poses = np.zeros((len(values), self.body.skeleton.dof))
+        poses[:, self.own] = values
+        # nothing else is turned, so the parent's frame is that of the world
+        rotations, centres = self.body.skeleton.forward(poses)
+        at = centres[:, [*self.chain, self.chain[2]]]
+        at[:, 3] += np.einsum("nij,j->ni", rotations[:, self.chain[2]], self.tip)
+        begin = at[:, _PART]
+        found = begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, self.parent]
+        return np.ascontiguousarray(found)
 
     def here(self, poses: Array) -> Array:
         """Compute the arm's points (N, 8, 3), m, in the poses (N, D) of a body, in the parent's frame."""
-        return _points(self.body, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
+        return self._points(poses[:, self.own])
 
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: Standing, cutoff: float) -> Array:
         """Compute how badly arms at given points fit the masks of a frame, in m^2, summed over the views.
@@ -104,37 +117,12 @@ def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
     """Compute elbow, wrist and hand (N, A, 3, 3), m, of the arms of one body in poses (N, D), in the frames of the
     arms' parents.
     """
-    if not arms:
-        return np.zeros((len(poses), 0, 3, 3))
     rotations, centres = arms[0].body.skeleton.forward(poses)
     parents = [arm.parent for arm in arms]
     wrists = [arm.chain[2] for arm in arms]
     at = centres[:, [arm.chain[1:] + arm.chain[2:] for arm in arms]]  # elbow, wrist, hand (from the wrist)
     at[:, :, 2] += _ALONG[2][1] * np.einsum("naij,aj->nai", rotations[:, wrists], np.stack([a.tip for a in arms]))
     return np.einsum("naji,nakj->naki", rotations[:, parents], at - centres[:, parents, None])
-
-
-def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> ArmReach:
-    """Build the table of an arm's poses over its whole reach.
-
-    lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
-
-    joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
-    count: number of poses.
-    """
-    s, side = body.skeleton, joints[0].split("_")[0]
-    own = s.dofs_of(*joints)
-    a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
-    parent = int(s.parents[min(s.joint(name) for name in joints)])
-    mark = body.landmarks.index(f"{side}_hand_tip")
-    tip = body.landmarks.offset[mark]
-    poses = lower[own] + (upper - lower)[own] * _evenly_spread(count, len(own))
-    bones = s.rest_joints[[b, c]] - s.rest_joints[[a, b]]
-    lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(tip)]
-    area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
-    moving = np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in joints])
-    points = _points(body, poses, own, parent, (a, b, c), tip)
-    return ArmReach(body, own, parent, (a, b, c), tip, moving, poses, points, np.array(area))
 
 
 @lru_cache(4)
@@ -154,20 +142,3 @@ def _evenly_spread(count: int, dimension: int) -> Array:
             out[:, k] += share * (n % base)
             n = n // base
     return out
-
-
-def _points(
-    body: Body, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
-) -> Array:
-    """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
-
-    own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of the hand in the wrist's frame, m.
-    """
-    poses = np.zeros((len(values), body.skeleton.dof))
-    poses[:, own] = values
-    # nothing else is turned, so the parent's frame is that of the world
-    rotations, centres = body.skeleton.forward(poses)
-    at = centres[:, [*chain, chain[2]]]
-    at[:, 3] += np.einsum("nij,j->ni", rotations[:, chain[2]], tip)
-    begin = at[:, _PART]
-    return np.ascontiguousarray(begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, parent])

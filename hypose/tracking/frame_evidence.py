@@ -225,23 +225,28 @@ def check_sides_and_views(
     strangers = middle > STRANGER_M
     if (middle <= STRANGER_M).sum() >= 2:
         out[strangers, :, 2] = 0.0
-    column = {name: k for k, name in enumerate(names)}
     far = np.nan_to_num(distance) > SWAPPED_M
     for view in np.flatnonzero(~strangers & far.any(1)):
         for chain in _CHAINS:
-            pairs = [
-                (column[f"left_{part}"], column[f"right_{part}"])
-                for part in chain
-                if f"left_{part}" in column and f"right_{part}" in column
-            ]
-            if far[view, list(sum(pairs, ()))].any():  # the mean is only large where one of them is
+            pairs = sides_of(names, chain)
+            if far[view, pairs.ravel()].any():  # the mean is only large where one of them is
                 _exchange(out[view], expected[view], pairs, float(size[view]))
     return out
 
 
-def _exchange(points: Array, expected: Array, pairs: list[tuple[int, int]], size: float) -> None:
+def sides_of(names: Sequence[str], parts: Sequence[str], known: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """List the columns (N, 2) of the left and right point of each part that the names have on both sides.
+
+    names: names of the points; parts: names without the side; known: (K,) False for points that do not count.
+    """
+    column = {n: k for k, n in enumerate(names) if known is None or known[k]}
+    both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
+    return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
+
+
+def _exchange(points: Array, expected: Array, pairs: NDArray[np.int64], size: float) -> None:
     """Exchange the points (K, 3) of the pairs in place where that is clearly nearer to the expected (K, 2)."""
-    left, right = np.array([p[0] for p in pairs], dtype=int), np.array([p[1] for p in pairs], dtype=int)
+    left, right = pairs.T
 
     def gap(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
         d = np.linalg.norm(points[a, :2] - expected[b], axis=-1) / size

@@ -36,6 +36,7 @@ from hypose.tracking.frame_evidence import (
     keypoint_term,
     pixels_per_metre,
     shows_another_person,
+    sides_of,
 )
 from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.refinement import anatomical_prior, from_neighbours, joint_covariance_of
@@ -69,7 +70,7 @@ def exchanged_by_names(
     sure_start: frame 0 is known to have its sides right.
     Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
     """
-    pairs = _pairs(model, LIMBS[limb])
+    pairs = sides_of(model.names, LIMBS[limb], model.known)
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0
     places = model.positions(body, poses)
@@ -88,16 +89,6 @@ def exchanged_by_names(
     return exchanged, float(won[exchanged].sum() - change[np.diff(exchanged, prepend=False)].sum())
 
 
-def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
-    """List the columns (N, 2) of the left and right point of each part that the body has.
-
-    model: model of the key points; parts: names without the side.
-    """
-    column = {n: k for k, n in enumerate(model.names) if model.known[k]}
-    both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
-    return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
-
-
 def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
     """Count the views whose named points lie on the other side's limb, and those whose points lie on their own.
 
@@ -106,7 +97,7 @@ def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Arr
     expected: (C, K, 2) places on the body, px; size: (C,) pixels per metre.
     Returns: views on the other side; views on their own side. Views where both fit alike count as neither.
     """
-    pairs, seen = _pairs(model, LIMBS[limb]), np.nan_to_num(points)
+    pairs, seen = sides_of(model.names, LIMBS[limb], model.known), np.nan_to_num(points)
     if not len(pairs):
         return 0, 0
     there = (seen[..., 2] > MIN_CONFIDENCE) & np.isfinite(expected).all(-1)

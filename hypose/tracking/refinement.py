@@ -116,20 +116,9 @@ class InTurn:
         times = self.seldom if frame.depth.seen else 1
         if frame.frame.index % (self.period * times) == self.turn * times:
             return True
-        pose = member(h, SOLVED)
-        key = "settled", self.unsettled, pose.tobytes()  # the result is the same for every limb
-        settled: bool | None = frame.shared.get(key)
-        if settled is None:
-            settled = frame.shared[key] = self._is_settled(pose, frame)
-        return not settled
-
-    def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
-        """Decide whether a solved pose (D,) overlaps the masks about as well as usual; false where the usual value is
-        unknown.
-        """
-        if not np.isfinite(frame.usual_iou):
-            return False
-        return 1 - mean_overlap(frame.body, pose, frame) <= self.unsettled * (1 - frame.usual_iou)
+        # where the usual value is unknown a limb is searched as well
+        apart = 1 - mean_overlap(frame.body, member(h, SOLVED), frame)
+        return not apart <= self.unsettled * (1 - frame.usual_iou)
 
 
 def member(h: Hypotheses, role: str) -> Array:

@@ -141,30 +141,16 @@ def contact_terms(contacts: Contacts, soles: Landmarks) -> list[list[PointTerm]]
     ]
 
 
-@dataclass(frozen=True)
-class FootMotion:
-    """Faults of the feet in a motion.
-
-    sliding: mean horizontal speed of points in contact, mm/s.
-    contacts: share of the frames with any contact.
-    """
-
-    sliding: float
-    contacts: float
-
-
-def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
+def sliding(positions: Array, contacts: Contacts, frame_rate: float) -> float:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
-    positions: positions of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
+    positions: positions of the soles; frame_rate: Hz.
+    Returns: mean horizontal speed of the points in contact, mm/s; 0 where there is no contact.
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]
     speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
-    return FootMotion(
-        1e3 * float(speed[both].mean()) if both.any() else 0.0,
-        float(contacts.touching.any(1).mean()),
-    )
+    return 1e3 * float(speed[both].mean()) if both.any() else 0.0
 
 
 def _runs_of(flags: NDArray[np.bool_], marks: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
@@ -434,14 +420,15 @@ class Smoothed:
     """Result of smoothing a clip.
 
     motion: the smoothed motion.
-    feet_before, feet: motion of the feet over the contacts that were found, before and after.
+    contacts: share of the frames with a foot on the ground; slid_before, slid: `sliding` of the feet before and after.
     one_by_one: (T, D) poses as tracked frame by frame.
     covariance: (T, D, D) covariance of the poses, from each frame alone.
     """
 
     motion: Motion
-    feet_before: FootMotion
-    feet: FootMotion
+    contacts: float
+    slid_before: float
+    slid: float
     one_by_one: Array
     covariance: Array
 
@@ -449,10 +436,10 @@ class Smoothed:
     def notes(self) -> tuple[str, ...]:
         """Write sentences about contacts and gaps for the user."""
         said = []
-        if self.feet.contacts > 0:
+        if self.contacts > 0:
             said.append(
-                f"feet in contact in {100 * self.feet.contacts:.0f} % of the frames: they slide by "
-                f"{self.feet.sliding:.0f} mm/s ({self.feet_before.sliding:.0f} as tracked)"
+                f"feet in contact in {100 * self.contacts:.0f} % of the frames: they slide by "
+                f"{self.slid:.0f} mm/s ({self.slid_before:.0f} as tracked)"
             )
         bridged = int((self.motion.extrapolated | self.motion.lost).sum())
         if bridged:
@@ -473,10 +460,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     settings, rate = settings or ClipSettings(), motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
-        nothing = FootMotion(0.0, 0.0)
-        return Smoothed(
-            motion, nothing, nothing, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof))
-        )
+        return Smoothed(motion, 0.0, 0.0, 0.0, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof)))
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
     solve = partial(smooth_poses, body, motion.poses, own, rate, settings)
     return with_feet(body, motion, own, solve(), solve, settings)
@@ -505,8 +489,9 @@ def with_feet(
     spread = gap_covariance(body, poses, own, rate, settings)
     around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
-    before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
-    return Smoothed(smoothed, before, after, motion.poses, pose_covariance(own))
+    before, after = (sliding(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
+    share = float(contacts.touching.any(1).mean())
+    return Smoothed(smoothed, share, before, after, motion.poses, pose_covariance(own))
 
 
 def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:

@@ -24,7 +24,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.hull import Hull
 from hypose.evidence.people import occupied_space
 from hypose.evidence.terms import PointTerm
-from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
 from hypose.inference.resampling import distinct
 from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
@@ -84,22 +84,13 @@ def start_from_keypoints(
             "needed to start: choose another start frame or check the calibration with `hypose check`."
         )
     term = PointTerm(points_world, np.ones(len(points_world)) if weight is None else weight, joint, offset, 0.03)
-    best: PoseFit | None = None
+    starts = []
     for root in _root_guesses(body, points_world, joint, offset, known):
         for name in ("standing", "t"):
-            start = known_pose(body, name)
-            start[:6] = root
-            fit = fit_pose(
-                body,
-                start,
-                [term],
-                priors=(anatomical_prior(body.skeleton),),
-                options=SolveSettings(iterations=40, coarse_iterations=20),
-            )
-            if best is None or fit.cost < best.cost:
-                best = fit
-    assert best is not None
-    return best
+            starts.append(np.concatenate([root, known_pose(body, name)[6:]]))
+    options = SolveSettings(iterations=40, coarse_iterations=20)
+    fits = fit_poses(body, starts, [term], priors=(anatomical_prior(body.skeleton),), options=options)
+    return min(fits, key=lambda fit: fit.cost)
 
 
 def _root_guesses(

@@ -59,15 +59,10 @@ def checked_picture(frame: Frame) -> Picture:
     if picture is None:
         raise InputError(f"Frame {frame.index} has no picture, which tracking with one camera needs; give its video.")
     (w, h), image = picture.camera.size, picture.image
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+    if image.shape != (h, w, 3) or image.dtype != np.uint8:
         raise InputError(
-            f"Frame {frame.index}: a picture must be (h, w, 3) uint8, got {image.shape} {image.dtype}; convert it to "
-            "8-bit BGR."
-        )
-    if image.shape[:2] != (h, w):
-        raise InputError(
-            f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {picture.camera.name} {w} x {h}; "
-            "resize the picture or use camera.scaled((width, height))."
+            f"Frame {frame.index}: a picture of camera {picture.camera.name} must be ({h}, {w}, 3) uint8, got "
+            f"{image.shape} {image.dtype}; convert it to 8-bit BGR, resize it or use camera.scaled((width, height))."
         )
     for silhouettes in picture.silhouettes:
         mask = silhouettes.masks[0]
