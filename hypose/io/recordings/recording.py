@@ -104,6 +104,7 @@ RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
     "left_out": list,
     "person": list,
     "silhouettes": dict,
+    "track": dict,
 }
 PATH_KEYS = ("video", "images", "masks", "background", "keypoints", "depth")
 VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
@@ -134,7 +135,7 @@ _TYPE_NAMES = {
     int: "a whole number",
     list: "a list in [ ]",
     bool: "true or false",
-    dict: "a table [silhouettes]",
+    dict: "a table, as [silhouettes]",
 }
 
 
