@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, event_value, growing_model, open_source
 from hypose.app.studio.catalog import Catalog, Item
-from hypose.app.studio.http import DEPTH, MAP, Hub, Message, Topic, digits, request_choice, request_number, text, whole
+from hypose.app.studio.http import DEPTH, MAP, Message, Topic, digits, request_choice, request_number, text, whole
 from hypose.app.studio.live_topics import recording_folder
 from hypose.compute.forests import DepthImage
 from hypose.errors import HyposeError, InputError
@@ -399,8 +399,9 @@ class GestureTopic(Topic):
 
     name = "gesture"
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        self.hub, self.catalog = hub, catalog
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__()
+        self.catalog = catalog
         self._starting = threading.Lock()
         self._run: Run | None = None
 
@@ -410,14 +411,10 @@ class GestureTopic(Topic):
         return None if self._run is None or self._run.over else self._run
 
     def hello(self) -> Message:
-        """Return the state of the session."""
-        run = self.running
-        return {"t": "hello", "session": run and run.described()}
-
-    def watched(self, pages: int) -> None:
-        """Send the last picture again when the number of watching pages changes."""
-        if pages and (run := self.running) is not None:
+        """Return the state of the session, whose last picture is sent again."""
+        if (run := self.running) is not None:
             run.requests.put("again")
+        return {"t": "hello", "session": run and run.described()}
 
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start a session, or pass the message to the running session."""
@@ -442,7 +439,7 @@ class GestureTopic(Topic):
             seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
             activity = (self._watch if mode == "run" else self._lesson)(message, where, seed)
             self._run = Run(message, activity, self)
-            self.hub.post(self.name, self.hello())
+            self.post(self.hello())
             self._run.thread.start()
 
     def _watch(self, message: Message, where: str, seed: int) -> Watch:
@@ -532,9 +529,6 @@ class Run:
         else:
             self.requests.put(request_choice(message.get("command"), "command", COMMANDS))
 
-    def _say(self, message: Message) -> None:
-        self._topic.hub.post(GestureTopic.name, message)
-
     def _work(self) -> None:
         """Run the session until it ends; save, close, and report why it ended."""
         try:
@@ -546,11 +540,11 @@ class Run:
         try:
             self._save()
         except (HyposeError, OSError) as error:
-            self._say({"t": "error", "error": str(error)})
+            self._topic.post({"t": "error", "error": str(error)})
         self._activity.close()
         _shut(self._source)
         self.over = True
-        self._say({"t": "ended", "why": why})
+        self._topic.post({"t": "ended", "why": why})
 
     def _loop(self) -> str:
         """Process pictures until the session is stopped or the source ends; return the reason."""
@@ -563,7 +557,7 @@ class Run:
             if "stop" in requests:
                 return "The session was stopped."
             now = clock.monotonic()
-            watched = now if self._topic.hub.listens(GestureTopic.name) else watched
+            watched = now if self._topic.pages else watched
             if now - watched > ALONE_S and not a.paused:
                 requests.append("pause")
             fresh = last is None or not (waits or now < due) or "continue" in requests
@@ -582,7 +576,7 @@ class Run:
             self._publish(last, requests, fresh, seq)
             if clock.monotonic() - judged > _JUDGE_S and (found := a.judged()) is not None:
                 self._judged, judged = found, clock.monotonic()
-                self._say(found)
+                self._topic.post(found)
             if "save" in requests or clock.monotonic() - saved > _SAVE_S:
                 self._save()
                 saved = clock.monotonic()
@@ -602,17 +596,17 @@ class Run:
         fresh: False: it was processed before, only the requests are new.
         seq: number of the message.
         """
-        a, hub = self._activity, self._topic.hub
+        a, topic = self._activity, self._topic
         commands: list[Command] = [cast(Command, r) for r in requests if r in COMMANDS]
         m, density = a.step(taken, self._controls, commands, fresh)
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
-        self._say(m | {"seq": seq})  # before the pictures are encoded
+        self._topic.post(m | {"seq": seq})  # before the pictures are encoded
         if fresh or "again" in requests:
-            hub.picture(GestureTopic.name, DEPTH, seq, taken.time, depth_jpeg(taken.depth))
+            topic.picture(DEPTH, seq, taken.time, depth_jpeg(taken.depth))
         if density is not None:
             self._full = max(float(density.max()), _FADING * self._full, _LEAST_FULL)
-            hub.picture(GestureTopic.name, MAP, seq, taken.time, map_png(density, self._full))
+            topic.picture(MAP, seq, taken.time, map_png(density, self._full))
 
     def _save(self) -> None:
         """Save the trained model and report it, where anything was learned."""
@@ -621,7 +615,9 @@ class Run:
             return
         model = catalog.id_of("model", path)
         recording = None if folder is None else catalog.id_of("session", folder)
-        self._say({"t": "saved", "model": model, "path": f"{path.parent.name}/{path.name}", "recording": recording})
+        self._topic.post(
+            {"t": "saved", "model": model, "path": f"{path.parent.name}/{path.name}", "recording": recording}
+        )
 
 
 # ---- pictures and lists ----------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.http import Hub, Message, NotNow, Topic, request_number, text, whole
+from hypose.app.studio.http import Message, NotNow, Topic, request_number, text, whole
 from hypose.app.studio.job_kinds import free_folder
 from hypose.body.default_body import human
 from hypose.errors import InputError
@@ -83,8 +83,9 @@ class LiveTopic(Topic):
     joints: Mapping[str, Any] = {}
     """Names and parents of the joints, for pages."""
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        self._hub, self._catalog = hub, catalog
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__()
+        self._catalog = catalog
         self._changing = asyncio.Lock()  # of two pages that start at the same time the second one is refused
         self._running: Message | None = None
         self._parts = contextlib.AsyncExitStack()  # ends the parts of the run, the last one first
@@ -107,7 +108,7 @@ class LiveTopic(Topic):
             async with contextlib.AsyncExitStack() as parts:  # undo the beginning where a later part fails
                 self._running = await self._start(message, parts)
                 self._parts = parts.pop_all()
-        self._hub.post(self.name, self.hello())
+        self.post(self.hello())
 
     async def stop(self, why: str = "") -> None:
         """Stop the live run and inform the pages.
@@ -118,8 +119,8 @@ class LiveTopic(Topic):
             running, self._running = self._running, None
             await self._parts.aclose()
         if running is not None and (said := " ".join(self._words) or why):
-            self._hub.post(self.name, {"t": "said", "text": said})
-        self._hub.post(self.name, self.hello())
+            self.post({"t": "said", "text": said})
+        self.post(self.hello())
 
     async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start as a page requests.
@@ -169,7 +170,7 @@ class FuseTopic(LiveTopic):
 
     def _tell(self, line: str) -> None:
         """Forward a message of the fusion server to the pages."""
-        self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        self.post(line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
 
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""
@@ -189,8 +190,8 @@ class CameraTopic(LiveTopic):
 
     name = "cameras"
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        super().__init__(hub, catalog)
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__(catalog)
         skeleton = human().skeleton
         self.joints = {"joints": skeleton.joint_names, "parents": [int(p) for p in skeleton.parents]}
         self._run: TrackingRun | None = None
@@ -223,7 +224,7 @@ class CameraTopic(LiveTopic):
         recorded = message.get("record") is True
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
         record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
-        pictures = _Pictures(self._hub, self.name, cameras)
+        pictures = _Pictures(self, cameras)
         parts.callback(pictures.close)
         capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
         person, outputs = LivePersonOptions(height=cameras.height), {"ws": ws, "osc": osc, "vmc": vmc}
@@ -242,7 +243,7 @@ class CameraTopic(LiveTopic):
             await asyncio.sleep(0.2)
             if run.recorder is not None and run.recorder.failed and not reported:
                 reported = True
-                self._hub.post(self.name, {"t": "said", "text": run.recorder.failed})
+                self.post({"t": "said", "text": run.recorder.failed})
         if self._running is not None and self._run is run:
             await self.stop("All videos are over.")
 
@@ -275,8 +276,8 @@ def _sources(value: Any) -> dict[str, str]:
 class _Pictures:
     """Listener of the engine that sends pages all poses, the status, and small pictures now and then."""
 
-    def __init__(self, hub: Hub, topic: str, cameras: LiveRig) -> None:
-        self._hub, self._topic = hub, topic
+    def __init__(self, topic: Topic, cameras: LiveRig) -> None:
+        self._topic = topic
         self._cameras = tuple(v.name for v in cameras.views)
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
         self._drawn = -np.inf
@@ -291,8 +292,8 @@ class _Pictures:
             people.append(person | {"seen": not pose.lost, "sensors": person["cameras"]})
         if people:
             first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
-            self._hub.post(self._topic, {"t": "frame", **first, "people": people}, key="frame")
-        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._hub.listens(self._topic):
+            self._topic.post({"t": "frame", **first, "people": people}, key="frame")
+        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._topic.pages:
             self._drawn, self._drawing = now, self._pool.submit(self._draw, seen)
 
     def status(self, status: LiveStatus) -> None:
@@ -303,7 +304,7 @@ class _Pictures:
         alive = {c.name: not c.trouble for c in status.cameras}
         for camera, place in zip(reported["sensors"], self._places, strict=False):
             camera |= {"alive": alive[camera["name"]], "registered": True, "residual": None, "place": place}
-        self._hub.post(self._topic, reported, key="status")
+        self._topic.post(reported, key="status")
 
     def close(self) -> None:
         """Stop drawing pictures."""
@@ -313,7 +314,7 @@ class _Pictures:
         """Send pictures of an instant."""
         views = zip(self._cameras, seen.captured.jpegs, seen.captured.views, strict=True)
         pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
-        self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
+        self._topic.post({"t": "pictures", "cameras": pictures}, key="pictures")
 
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
