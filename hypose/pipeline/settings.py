@@ -77,8 +77,6 @@ class PipelineSettings:
     gait_least_step: Least time between two strikes of a foot, s.
     gait_facing: Time over which the facing direction is averaged, s.
     gait_shortest, gait_longest: Limits of the duration of a stride, s.
-    gesture_max_frames: Most frames of a session that are read.
-    gesture_max_gestures: Most gestures of a session.
     gesture_waiting: Most pictures of a session that wait to be written.
     gesture_telling: Number of first pictures that identify a session.
     path_surprise: Deviation of a person from the predicted motion, m/s.
@@ -330,8 +328,6 @@ class PipelineSettings:
     gait_facing: float = 0.4
     gait_shortest: float = 0.6
     gait_longest: float = 2.5
-    gesture_max_frames: int = 1_000_000
-    gesture_max_gestures: int = 16
     gesture_waiting: int = 4
     gesture_telling: int = 10
     path_surprise: float = 1.0
