@@ -40,7 +40,6 @@ from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import read_text, read_toml, toml_lines, toml_value, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
-    SILHOUETTE_KEYS,
     Recording,
     load_recording,
     silhouette_lines,
@@ -377,7 +376,7 @@ def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> Sil
     """Return the options with settings from a query: texts as in JSON, lists as numbers with commas."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, value in settings.items():
-        kind = SILHOUETTE_KEYS.get(key)
+        kind = type(table.get(key))
         try:
             table[key] = value if kind is str else parse_json(f"[{value}]" if kind is list else value)
         except (ValueError, RecursionError):
