@@ -93,14 +93,14 @@ def recorded_options(recording: Path) -> dict[str, Any]:
     Raises: InputError names the key and the possible values.
     """
     from hypose.io.files import read_toml
-    from hypose.io.recordings.recording import check_keys
+    from hypose.io.recordings.recording import CHECKS, check_keys
 
     toml = recording if recording.suffix == ".toml" else recording / "recording.toml"
     table = read_toml(toml).get("track", {}) if toml.is_file() else {}
     if not isinstance(table, dict):
         return {}
     where = f"{toml}, track"
-    check_keys(where, table, {k: (int, float) if d.kind is float else d.kind for k, d in OF_RECORDING.items()})
+    check_keys(where, table, {k: CHECKS[d.kind] for k, d in OF_RECORDING.items()})
     out = {OF_RECORDING[k].name: OF_RECORDING[k].check(value, f"{where}: {k}") for k, value in table.items()}
     if "subject" in out:
         out["subject"] = str(toml.parent / out["subject"])
