@@ -24,11 +24,11 @@ from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.http import Hub, Message, NotNow, Topic, request_number, text, whole
-from hypose.app.studio.job_kinds import free_folder
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
+from hypose.io.file_names import free_path
 from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -55,7 +55,7 @@ def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
     """
     if not catalog.contains(catalog.root / folder):
         raise InputError(f"{folder} is a link that leads out of the served folder; remove it first.")
-    return free_folder(catalog.root / folder, name)
+    return free_path(catalog.root / folder, name)
 
 
 def _target(message: Message, kind: str, port: int) -> str | None:
