@@ -20,7 +20,7 @@ from hypose.app.live.servers import SocketListeners
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePersonOptions, LivePose
 from hypose.pipeline.live.live_rig import LiveRig
 from hypose.pipeline.live.recorder import LiveRecorder
@@ -54,7 +54,7 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     return json.dumps(value, separators=(",", ":"))
 
 
-class PoseOutputs:
+class PoseOutputs(Listener):
     """Listener of the live engine that sends poses to other programs.
 
     cameras: names of the cameras.
