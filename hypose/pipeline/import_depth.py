@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import (
     CoarseAlignment,
@@ -38,7 +37,7 @@ from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList
-from hypose.pipeline.subject import AnthropometryOptions, TrackedSubject, different_poses, estimate_subject
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, estimate_subject
 from hypose.pipeline.track import track_source
 from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
@@ -360,8 +359,8 @@ def register_depth(
         report("together", n, SETTINGS.placing_rounds)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
-        how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
-        estimate = estimate_subject(lambda i, f=frames: f[i], len(frames), frame_rate, human(), how)
+        how = SubjectOptions(frame_rate=frame_rate, seed=seed)
+        estimate = estimate_subject(frames.__getitem__, len(frames), how)
         subject = TrackedSubject(estimate.body, None, estimate.start, ())
         source = FrameList(frames, frame_rate)
         tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))

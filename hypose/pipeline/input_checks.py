@@ -26,7 +26,7 @@ from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.moved_sensors import moved_sensors
 from hypose.pipeline.passes import ClipState, Pass, find_people, session_of, track_clip, track_rest
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameList, FrameSource, PlacedSource
+from hypose.pipeline.sources import FrameList, FrameSource, placed_source
 from hypose.pipeline.subject import measured_height
 
 
@@ -173,7 +173,7 @@ def place_sensors(clip: ClipState) -> ClipState:
     places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
     if not places:
         return clip
-    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
+    clip = replace(clip, source=placed_source(clip.source, places), places=places, findings=(*clip.findings, *moved))
     subject = clip.who
     if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
         subject = clip.find(clip)

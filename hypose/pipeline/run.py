@@ -156,6 +156,7 @@ class PeopleResult:
     notes: for the report.
     others: number of people in addition to those requested.
     findings: reasons to distrust the places of depth cameras.
+    absent: sentence that the one person who was asked for by name is not among them; empty where there is none.
     """
 
     people: tuple[TrackResult, ...]
@@ -163,6 +164,7 @@ class PeopleResult:
     notes: tuple[str, ...] = ()
     others: int = 0
     findings: tuple[Finding, ...] = ()
+    absent: str = ""
 
 
 def load_tracked(folder: str | Path) -> TrackResult:

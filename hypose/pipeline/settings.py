@@ -9,8 +9,6 @@ from dataclasses import dataclass
 class PipelineSettings:
     """All constants of hypose.pipeline; the first word of a name says which module uses it.
 
-    again_poses: Poses to which a body is fitted again. With 8 and 20 the lengths of arms and legs were as far off
-        (seeds 440 and 441).
     again_least_won: Least sum over frames of the IoU won by the backward track to replace the start. Where nothing was
         wrong it won up to .21 (seeds 432, 440 and 441), where legs were exchanged .80 (432).
     compare_levels: Probabilities of the regions whose coverage is compared.
@@ -56,7 +54,6 @@ class PipelineSettings:
     examine_around: Margin around the key points, as a share of the person's size, in which a mask belongs to the person
         where others are there.
     examine_used: Frames that a refinement uses; the rest judges it.
-    first_tracked: Frames from which a body is fitted.
     first_as_many, first_as_well: Share of the most points of a frame from which a start is as good, and tolerated
         decrease of the share of detections that agree: one limb of one view is 3 of 100.
     look_frames: Frames that are checked first, spread over the clip.
@@ -246,7 +243,9 @@ class PipelineSettings:
         0.85.
     check_worse_pose: Decrease of IoU that a named pose may have compared with another; arms are corrected from up to 45
         degrees away.
-    subject_poses, subject_looked_at: Poses that the outlines are fitted in, and frames among which they are chosen.
+    subject_poses, subject_looked_at: Poses to which outlines are fitted, and frames among which they are chosen. In
+        shared masks the lengths of arms and legs were as far off with 20 poses (seeds 440 and 441).
+    subject_particles: Particles with which these frames are tracked.
     subject_the_person: Mean IoU of the template's girths up to which masks do not belong to the person of the key
         points.
     subject_bones, subject_sure_bones: Relative standard deviation of bones around those of the key points, per squared
@@ -280,7 +279,6 @@ class PipelineSettings:
         people 0.5 and less.
     """
 
-    again_poses: int = 12
     again_least_won: float = 0.3
     compare_levels: tuple[float, float, float] = (0.5, 0.9, 0.95)
     compare_most_lag: float = 5.0
@@ -312,7 +310,6 @@ class PipelineSettings:
     examine_looks: int = 12
     examine_around: float = 0.3
     examine_used: int = 17
-    first_tracked: int = 24
     first_as_many: float = 0.8
     first_as_well: float = 0.03
     look_frames: int = 12
@@ -499,6 +496,7 @@ class PipelineSettings:
     check_least_overlap: float = 0.4
     check_worse_pose: float = 0.05
     subject_poses: int = 8
+    subject_particles: int = 48
     subject_looked_at: int = 24
     subject_the_person: float = 0.3
     subject_bones: float = 50.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -247,20 +247,32 @@ class Places:
 
 
 @dataclass(frozen=True)
-class PlacedSource:
-    """Source of frames with corrected camera places; in each frame the last of the places that have begun counts."""
+class ChangedFrames:
+    """Some frames of a source, each changed by a function of its number in the source.
+
+    numbers: numbers of the frames in the source.
+    """
 
     source: FrameSource
-    places: Sequence[Places]
+    change: Callable[[int, Frame], Frame]
+    numbers: range
 
     def __len__(self) -> int:
-        return len(self.source)
+        return len(self.numbers)
 
     def frame(self, index: int, /) -> Frame:
-        """Return frame number index."""
-        now = [p for p in self.places if p.since <= index]
-        found = self.source.frame(index)
-        return placed(found, now[-1].camera_from_world) if now else found
+        """Return frame number index, counted from the first of `numbers`."""
+        return self.change(self.numbers[index], self.source.frame(self.numbers[index]))
+
+
+def placed_source(source: FrameSource, places: Sequence[Places]) -> ChangedFrames:
+    """Return the source with corrected camera places; in each frame the last of the places that have begun counts."""
+
+    def at_place(index: int, frame: Frame) -> Frame:
+        now = [p for p in places if p.since <= index]
+        return placed(frame, now[-1].camera_from_world) if now else frame
+
+    return ChangedFrames(source, at_place, range(len(source)))
 
 
 def placed(frame: Frame, camera_from_world: Array) -> Frame:

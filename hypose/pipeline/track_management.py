@@ -24,7 +24,7 @@ from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import TrackedPerson, shape_of
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.part_colours import appearance_in, no_appearance
-from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.start_search import starts_in_frame
 from hypose.tracking.tracker import FrameEstimate
 
 if TYPE_CHECKING:
@@ -471,7 +471,7 @@ def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
     """
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
-    return prepared, start_from_hull(body, prepared).pose
+    return prepared, starts_in_frame(body, prepared, body.stature)[0].pose
 
 
 def returned(
