@@ -135,8 +135,8 @@ def least_hidden(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
     if not share.size:
         return numbers
     good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > SETTINGS.rough_hidden)
-    if len(good) < SETTINGS.rough_few_seen:
-        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_few_seen])
+    if len(good) < SETTINGS.rough_frames:
+        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_frames])
     return [numbers[k] for k in good]
 
 
@@ -171,7 +171,7 @@ def _rough(
     seed: int,
 ) -> RoughTrack | None:
     own = {t: frame_of_person(frame_at(t), t, who, paths) for t in numbers}
-    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_tried]
+    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_frames]
     try:
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:

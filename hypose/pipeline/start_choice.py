@@ -65,8 +65,8 @@ def check_person_size(frame: Frame) -> None:
     calibration's likely unit.
     """
     heights = [tall for masks in frame.of(Silhouettes) if (tall := apparent_height(masks)) is not None]
-    height = heights[0] if heights else SETTINGS.check_smallest
-    if SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
+    height = heights[0] if heights else SETTINGS.check_extent_m[0]
+    if SETTINGS.check_extent_m[0] <= height <= SETTINGS.check_extent_m[1]:
         return
     fitting = [u for u, k in _UNITS.items() if 1.0 <= height * k <= 2.4]
     advice = (

@@ -11,7 +11,6 @@ Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shap
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from hypose.fitting import fit_pose
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.files import write_text
+from hypose.io.files import toml_lines, write_text
 from hypose.io.motions.results import body_arrays, body_of_arrays, load_body, save_body
 from hypose.pipeline.retracking import correct_left_right
 from hypose.pipeline.settings import SETTINGS
@@ -328,29 +327,28 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, source: str = ""
     """Write body.npz (the clothed body, for `hypose track --subject`) and subject.toml (sizes in cm with standard
     deviations, and shape factors) into a folder; return their paths.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    body, toml = folder / "body.npz", folder / "subject.toml"
+    body, toml = Path(folder) / "body.npz", Path(folder) / "subject.toml"
     save_body(estimate.body, body)
-    sd = {k: 100 * v for k, v in size_uncertainty(estimate).items()}
+    sd, skin, over = size_uncertainty(estimate), estimate.sizes.in_cm, sizes_of(estimate.body).in_cm
+    about = {
+        "body": body.name,
+        "recording": source or None,
+        "frames": list(estimate.frames),
+        "mean_iou": round(float(np.nanmean(estimate.iou)), 4),
+        "clothing_mm": round(1000 * CLOTHING_UNIT * float(estimate.factors[entity("clothing")]), 1),
+    }
     lines = [
         "# A person's body, estimated from silhouettes. Lengths in cm; sd: one standard deviation.",
-        'body = "body.npz"',
+        "# Factors are natural logarithms relative to the template; clothing in units of 10 cm.",
+        *toml_lines(about),
     ]
-    if source:
-        lines.append(f"recording = {json.dumps(source)}")
-    thickness = 1000 * CLOTHING_UNIT * estimate.factors[entity("clothing")]
-    lines += [f"frames = {[int(i) for i in estimate.frames]}", f"mean_iou = {float(np.nanmean(estimate.iou)):.4f}"]
-    lines += [f"clothing_mm = {thickness:.1f}", ""]
-    skin, over = estimate.sizes.in_cm, sizes_of(estimate.body).in_cm
-    for name, value in skin.items():
-        lines += [f'[sizes."{name}"]', f"cm = {value:.2f}", f"sd = {sd[name]:.2f}"]
-        if name.endswith("girth"):
-            lines.append(f"over_clothes_cm = {over[name]:.2f}")
-    lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
-    spread = np.sqrt(np.diag(estimate.covariance))
-    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors, spread, strict=True):
-        lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
+    for name, cm in skin.items():
+        clothed = round(over[name], 2) if name.endswith("girth") else None
+        sizes = {"cm": round(cm, 2), "sd": round(100 * sd[name], 2), "over_clothes_cm": clothed}
+        lines += ["", f'[sizes."{name}"]', *toml_lines(sizes)]
+    spread = np.sqrt(np.diag(estimate.covariance)).tolist()
+    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors.tolist(), spread, strict=True):
+        lines += ["", f'[factors."{name}"]', *toml_lines({"value": round(value, 5), "sd": round(width, 5)})]
     write_text(toml, "\n".join(lines) + "\n")
     return body, toml
 

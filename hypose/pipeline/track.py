@@ -275,7 +275,7 @@ def track_one_of(
     """
     found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
     one, more = found.people[0], found.others
-    said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()
+    said = () if places_refuted(found.findings) else other_people_note(more, "masks", command)
     notes = said_of_places(wanted, 1 + more)
     found_so = [*one.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:

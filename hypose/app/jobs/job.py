@@ -32,7 +32,6 @@ from hypose.app.reports.report_parts import (
 )
 from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.studio.view_bundle import Rivals, ViewResult
-from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
@@ -86,7 +85,7 @@ class TrackJob:
     options: TrackOptions
     results: ResultsFolder
     command: TrackCommand
-    truth: Callable[[Motion, Body], Truth] | None = None
+    truth: Callable[[Motion], Truth] | None = None
     skeletons: SkeletonRecording | None = None
 
     @property
@@ -198,7 +197,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         first = people[0]
         for one in people:
             _save(_folder(job, one), one)
-        truth = job.truth(first.motion, first.body) if job.truth is not None else None
+        truth = job.truth(first.motion) if job.truth is not None else None
         if found.complete:
             for one in people:
                 said = (*notes, *one.notes)
