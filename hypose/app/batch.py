@@ -35,7 +35,7 @@ from hypose.io.files import check_writable, read_json, text_lines, write_text
 from hypose.io.motions.results import provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
-from hypose.pipeline.comparison import compare_with
+from hypose.pipeline.comparison import compare_with_truth
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -85,7 +85,8 @@ class Task:
         """
         job = job_of(replace(self.command, out=self.results, resume=True, report=True))
         truth = job.recording.folder / "truth.npz"
-        return replace(job, truth=compare_with(truth, job.recording.frames.start) if truth.is_file() else None)
+        compared = partial(compare_with_truth, truth, first=job.recording.frames.start)
+        return replace(job, truth=compared) if truth.is_file() else job
 
     @property
     def written(self) -> dict[str, Any]:
