@@ -184,7 +184,7 @@ def npz(name, data):
         ("a.gltf", b"{}", "names other files"),
         ("a.fbx", b"x", "export the scan in one of these formats"),
         ("a.npz", b"x", "is not a model in SMPL's format, or is damaged: .*; save v_template"),
-        ("a.npz", npz("a.npy", b""), "has no .v_template."),
+        ("a.npz", npz("a.npy", b""), "'v_template' is missing"),
         ("a.npz", npz("v_template.npy", b"nothing"), "is not a model in SMPL's format"),
         ("a.pkl", b"cos\nsystem\n", "is a pickle, which may run any program"),
     ],

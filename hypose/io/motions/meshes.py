@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
-from hypose.io.files import numbers_of, read_bytes
-from hypose.io.motions.results import load_archive
+from hypose.io.files import read_bytes
+from hypose.io.motions.results import Archive
 
 MAX_MESH_BYTES = 512 * 2**20
 MAX_FACES = 3_000_000
@@ -113,8 +113,9 @@ def _read_smpl(path: Path) -> PersonMesh:
     Raises: InputError where it is not such a model.
     """
     names = ("v_template", "f", "weights", "J_regressor", "kintree_table")
-    arrays = load_archive(path, "model in SMPL's format", f"save {', '.join(names)} {_PLAIN}", names, MAX_MESH_BYTES)
-    with numbers_of(str(path)):
+    step = f"save {', '.join(names)} {_PLAIN}"
+
+    def build(arrays: dict[str, np.ndarray]) -> PersonMesh:
         v = arrays["v_template"].astype(np.float64).reshape(-1, 3)
         f = arrays["f"].astype(np.int64).reshape(-1, 3)
         w, regressor = arrays["weights"].astype(np.float64), arrays["J_regressor"].astype(np.float64)
@@ -123,11 +124,12 @@ def _read_smpl(path: Path) -> PersonMesh:
         if w.shape != (len(v), n) or regressor.shape != (n, len(v)) or parents.shape != (n,) or n < len(SMPL_JOINTS):
             shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
             raise ValueError(f"the arrays do not belong to one model of at least {len(SMPL_JOINTS)} joints: {shapes}")
-    # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
-    tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
-    joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
-    rig = Rig(joint_names, tree, regressor @ v, w)
-    return _checked(PersonMesh(v, f.astype(np.int32), rig, "", str(path)))
+        # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
+        tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
+        joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
+        return PersonMesh(v, f.astype(np.int32), Rig(joint_names, tree, regressor @ v, w), "", str(path))
+
+    return _checked(Archive("model in SMPL's format", step, packed=MAX_MESH_BYTES).load(path, build, names))
 
 
 def _checked(mesh: PersonMesh) -> PersonMesh:
