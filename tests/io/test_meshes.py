@@ -180,7 +180,7 @@ def npz(name, data):
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\n", "cannot be read as PLY|0 vertices"),
         ("a.stl", b"solid x\nfacet", "cannot be read as STL|0 vertices"),
         ("a.obj", b"mtllib ../../etc/passwd\nv 0 0 0\n", "cannot be read as OBJ|vertices and 0 faces"),
-        ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "cannot be read"),
+        ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "read as a skinned GLB, holds something"),
         ("a.gltf", b"{}", "names other files"),
         ("a.fbx", b"x", "export the scan in one of these formats"),
         ("a.npz", b"x", "is not a model in SMPL's format, or is damaged: .*; save v_template"),
