@@ -11,8 +11,7 @@ import pytest
 from benchmarks.robustness.keypoint_layouts import detections
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import read_any, write_calibration
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
 from hypose.io.recordings.recording import (
     PersonSettings,

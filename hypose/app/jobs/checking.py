@@ -20,7 +20,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Image
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.file_names import free_path
 from hypose.io.files import check_writable, write_bytes, write_text
 from hypose.io.motions.results import to_json

@@ -67,8 +67,7 @@ from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
-from hypose.io.calibrations.calibration_formats import find_calibration, read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_calibration
 from hypose.io.calibrations.camera_tables import UNITS
 from hypose.io.file_names import file_name, match_names, text_of
 from hypose.io.files import read_toml, toml_lines, write_text
