@@ -34,7 +34,7 @@ _PLACES = {
     "Camera": "hypose.cameras.camera",
     "CameraRig": "hypose.cameras.camera",
     "read_calibration": "hypose.io.calibrations.calibration_formats:read_any",
-    "write_calibration": "hypose.io.calibrations.calibration_text",
+    "write_calibration": "hypose.io.calibrations.calibration_formats",
     # frame by frame, with evidence of one's own
     "Frame": "hypose.evidence.frame",
     "Silhouettes": "hypose.evidence.frame",

@@ -25,7 +25,7 @@ from hypose.inference.layer import follow as follow
 from hypose.inference.layer import search as search
 from hypose.inference.layer import stream as stream
 from hypose.io.calibrations.calibration_formats import read_any as _read_calibration
-from hypose.io.calibrations.calibration_text import write_calibration as write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration as write_calibration
 from hypose.io.motions.export import export_motion as export_motion
 from hypose.io.motions.results import load_body as load_body
 from hypose.io.motions.results import load_motion as load_motion
