@@ -550,18 +550,16 @@ class Truth:
 
     distances: (T, K) distances between true and tracked joints, m.
     names: (K) names of the joints.
-    pelvis: (T, 3) true path of the pelvis, m.
     note: how the distances were measured.
-    joints: (T, J, 3) true joints, m, world; None: only the pelvis is known.
+    joints: (T, J, 3) true joints, m, world.
     parents: (J) parents of these joints.
     """
 
     distances: Array
     names: tuple[str, ...]
-    pelvis: Array
-    note: str = ""
-    joints: Array | None = field(default=None, kw_only=True)
-    parents: Sequence[int] = field(default=(), kw_only=True)
+    note: str
+    joints: Array
+    parents: Sequence[int]
 
     @property
     def mean_mm(self) -> float:
@@ -601,4 +599,4 @@ def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Trut
     rotations, _ = motion.skeleton.forward(motion.poses[: len(joints)])
     errors = joint_errors(found, joints, population_offsets(human()) * stature, rotations)
     parents = human().skeleton.parents.tolist()
-    return Truth(errors, EVALUATED_JOINTS, joints[:, 0], NOTE, joints=joints, parents=parents)
+    return Truth(errors, EVALUATED_JOINTS, NOTE, joints, parents)

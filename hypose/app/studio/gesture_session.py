@@ -91,8 +91,8 @@ class Judge:
     def __init__(self, lens: DepthLens) -> None:
         self._lens = lens
         self._frames: list[tuple[int, float, float]] = []  # segment, score (cm^2), error (m)
-        self._state, self._clock = EventState(), 0.0
         self._last: float | None = None
+        self._clock = 0.0  # time of other movement, s
         self._alarms: list[float] = []
 
     def see(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation, segment: int = _TEST) -> None:
@@ -110,23 +110,16 @@ class Judge:
             error = float(np.hypot(found.x - at[0], found.y - at[1])) * far
         self._frames.append((segment, found.score, error))
 
-    def move(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement as false alarms.
+    def move(self, time: float, alarms: int) -> None:
+        """Count the false alarms in a frame of other movement.
 
         time: s.
-        found: place that the forest found.
-        threshold: cm^2, from which it counts; None: not known yet.
-        hold_s: time for which a gesture must be held, s.
+        alarms: gestures that were wrongly found to start.
         """
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
-        elif self._last is not None:  # another segment: an event that was going on has ended
-            self._state = EventState()
         self._last = time
-        if threshold is not None and threshold > 0:
-            settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
-            self._state, events = detect_events(self._state, [found], self._clock, settings)
-            self._alarms += [self._clock for e in events if e.kind == "start"]
+        self._alarms += [self._clock] * alarms
 
     def reported(self, undone: Collection[int] = ()) -> dict[str, Any]:
         """Return the judgement for the page: of the frames of the test once these are of both kinds, else of the latest
@@ -229,6 +222,9 @@ class Lesson(Teaching):
         found, density = self._look(taken, f, controls.map)
         i, session, events = f.instruction, self.trainer.session, list[Event]()
         threshold = controls.threshold or (self.final if i.phase == "test" else None) or f.threshold
+        if fresh and threshold:
+            settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+            self._events, events = detect_events(self._events, [found], taken.time, settings)
         if fresh:
             both_known = None not in session.before  # the segment began with a forest that knew gesture and movement
             if self.usable and both_known and taken.time - session.entered < _JUDGED_S:
@@ -236,14 +232,11 @@ class Lesson(Teaching):
             if i.phase == "test" and self.source.clear():
                 self._judge.see(taken.depth, taken.box, found)
             if i.phase == "negative" and not self.paused:
-                self._judge.move(taken.time, found, threshold, controls.hold_s)
-            if i.phase == "test" and threshold:
-                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
-                self._events, events = detect_events(self._events, [found], taken.time, settings)
+                self._judge.move(taken.time, sum(e.kind == "start" for e in events))
         z = surface_depth(taken.depth, *self.place)
         half = BOX_M * self.source.lens.fx / (2.0 if z is None else z / 1000)
         message = {
-            **_step(taken, found, threshold, controls, events, self.names),
+            **_step(taken, found, threshold, controls, events if i.phase == "test" else [], self.names),
             "phase": i.phase,
             "prompt": i.prompt,
             "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),

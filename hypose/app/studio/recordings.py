@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.catalog import Catalog, Item, NotFound, is_recording
+from hypose.app.studio.catalog import Catalog, Item, NotFound, changed, is_recording
 from hypose.app.studio.http import NotNow, object_of, request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import (
@@ -199,8 +199,7 @@ class Recordings:
 
         Raises: InputError names the cause.
         """
-        with self.opened(item.path) as opened:
-            return opened.recording
+        return self.opened(item.path).recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
         """Collect the facts about a recording that the page shows.
@@ -281,25 +280,23 @@ class Recordings:
         settings: JSON object of the settings of the mask; None: those of the recording.
         Raises: NotFound or InputError where there is no such picture.
         """
-        with self.opened(item.path) as opened:
-            r = opened.recording
-            if camera not in r.rig.names:
-                raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-            opened.check(frame, width)
-            view, options = r.rig.names.index(camera), r.silhouettes
-            if settings is not None:
-                options = silhouette_options("The settings", object_of(settings, "value of settings"))
-            full = r.rig[view]
-            w = min(width, full.size[0])
-            small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            if r.views[view].source is None and shown == "none":
-                raise NotFound(f"{camera} has masks only, no pictures.")
-            masked = [] if shown == "none" else [opened.mask(view, frame, options)]
-            image = opened.undistorted(view, frame, small) if r.views[view].source else None
-        for person in masked:
-            image = _draw_mask(np.full((*person.shape, 3), 40, np.uint8) if image is None else image, person, shown)
-        assert image is not None
-        return jpeg(image, w, _QUALITY)
+        opened = self.opened(item.path)
+        r = opened.recording
+        if camera not in r.rig.names:
+            raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
+        opened.check(frame, width)
+        view, options = r.rig.names.index(camera), r.silhouettes
+        if settings is not None:
+            options = silhouette_options("The settings", object_of(settings, "value of settings"))
+        full, pictured = r.rig[view], r.views[view].source is not None
+        w = min(width, full.size[0])
+        small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
+        if shown == "none" and not pictured:
+            raise NotFound(f"{camera} has masks only, no pictures.")
+        mask = None if shown == "none" else opened.mask(view, frame, options)
+        grey = np.full((*small.size[::-1], 3), 40, np.uint8)
+        image = opened.undistorted(view, frame, small) if pictured else grey
+        return jpeg(image if mask is None else _draw_mask(image, mask, shown), w, _QUALITY)
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
@@ -311,10 +308,8 @@ class Recordings:
         write_text(path, "\n".join(["\n".join(kept).rstrip("\n"), *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
-    @contextlib.contextmanager
-    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> Iterator[OpenRecording]:
-        """Open a recording, or return the open one; it stays open while the block runs, and then until others
-        were used after it.
+    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> OpenRecording:
+        """Open a recording, or return the open one; the last ones that were used stay open.
 
         folder: folder of the recording.
         frames: frame of the first row, and the frame after that of the last row; None: all frames.
@@ -324,22 +319,16 @@ class Recordings:
         if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
             opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
         with self._lock:
-            opened = self._open.pop(key, opened)
-            self._open[key] = opened
-            opened.users += 1
-        try:
-            yield opened
-        finally:
-            with self._lock:
-                opened.users -= 1
-                for unused in [k for k, o in self._open.items() if not o.users][:-_OPEN]:
-                    self._open.pop(unused).close()
+            opened = self._open[key] = self._open.pop(key, opened)
+            old = [self._open.pop(k) for k in list(self._open)[:-_OPEN]]
+        for one in old:  # where it is still in use, it opens what it needs again
+            one.close()
+        return opened
 
-    def drop(self) -> None:
-        """Close the recordings that are not in use, since some systems cannot move open files."""
-        with self._lock:
-            for unused in [k for k, o in self._open.items() if not o.users]:
-                self._open.pop(unused).close()
+    def close(self) -> None:
+        """Close all recordings, since some systems cannot move open files; they open again when they are used."""
+        for one in list(self._open.values()):
+            one.close()
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
@@ -367,12 +356,11 @@ def board_of(folder: Path) -> dict[str, Any] | None:
     person), whether they are calibrated, and the time (s) of the contact sheet, None without one. None where neither
     applies.
     """
-    sheet, names = folder / "results" / "calibration.png", list[str]()
+    sheet, names = changed(folder / "results" / "calibration.png"), list[str]()
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
-    made = sheet.stat().st_mtime if sheet.is_file() else None
     calibrated = (folder / CALIBRATION).is_file()
-    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or uncalibrated(folder) else None
+    return {"cameras": names, "calibrated": calibrated, "sheet": sheet} if names or uncalibrated(folder) else None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
@@ -386,7 +374,7 @@ def read_subject(folder: Path) -> dict[str, Any] | None:
 def _stamp(folder: Path) -> float:
     """Return a number that changes when the recording's description changes, or the detector has run."""
     names = ("recording.toml", "Config.toml", "calibration.toml", "subject", "keypoints/detector.json")
-    return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())
+    return sum(changed(folder / name) or 0.0 for name in names)
 
 
 # ---- folders -------------------------------------------------------------------------------------------------------
