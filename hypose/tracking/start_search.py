@@ -134,22 +134,6 @@ def _root_guesses(
     return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
 
 
-def start_in_pose(body: Body, frame: PreparedFrame, names: Sequence[str]) -> PoseFit:
-    """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
-
-    frame: prepared, with masks; names: known poses to try, each in 16 headings.
-    Raises: EvidenceError where the views have no common hull.
-    Source: Alcoverro 2014, section 2.3.3 step 1.
-    """
-    hull = hull_of(frame)
-    candidates = [
-        _centred(body, turn_pose(known_pose(body, name), heading), hull)
-        for name in names
-        for heading in np.arange(16) * np.pi / 8
-    ]
-    return _best_refined(body, np.stack(candidates), frame)
-
-
 _FIRST_ROUND, _SECOND_ROUND = 16, 4
 """numbers of poses that are solved in the first and in the second round of a search"""
 RECOVERY_REACH = 1.3
@@ -286,18 +270,24 @@ def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
 
 
 def starts_in_frame(
-    template: Body, frame: PreparedFrame, height: float | None = None, extent: float | None = None
+    template: Body,
+    frame: PreparedFrame,
+    height: float | None = None,
+    extent: float | None = None,
+    names: Sequence[str] = KNOWN_POSES,
 ) -> list[Start]:
     """Find the starts that a frame allows, best first, all different from each other.
 
     frame: prepared for any body.
     height: height of the person, m; None: unknown.
     extent: height of the hull, m, where that of another frame is more reliable.
+    names: known poses from which is searched; all of them: any posture is tried.
     Raises: EvidenceError where the views have no common hull, or its height is not that of a person.
     """
     hull = hull_of(frame)
     tall = extent or hull.height
-    base = postures(template)
+    known = tuple(names) != KNOWN_POSES
+    base = np.stack([known_pose(template, name) for name in names]) if known else postures(template)
     turns = _every_way(base)
     spans = np.array([np.ptp(template.skin(q)[:, 2]) for q in base])
     found: list[Start] = []
@@ -410,18 +400,6 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     turned = (across * across[:1]).sum(-1).mean(1) < 0
     unsure = np.stack([far[turned].sum(0), far[~turned].sum(0)])
     return Starts(tuple(starts[k] for k in order), weights, unsure), order.tolist()
-
-
-def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:
-    """Find the pose of a body of known size that explains the silhouettes best.
-
-    poses: names of known poses that are tried; all known names: any posture is tried.
-    Raises: EvidenceError where the views have no common hull.
-    """
-    if tuple(poses) == KNOWN_POSES:
-        return starts_in_frame(body, frame, body.stature)[0]
-    fit = start_in_pose(body, frame, poses)
-    return Start(body, fit.pose, float(mask_cost(body, fit.pose[None], frame)[0]))
 
 
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:

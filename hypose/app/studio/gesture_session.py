@@ -28,7 +28,6 @@ from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, e
 from hypose.app.reports.result_pictures import jpeg
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.http import DEPTH, MAP, Message, Topic, digits, request_choice, request_number, text, whole
-from hypose.app.studio.job_kinds import free_path
 from hypose.app.studio.live_topics import recording_folder
 from hypose.compute.forests import DepthImage
 from hypose.errors import HyposeError, InputError
@@ -45,6 +44,7 @@ from hypose.gestures.events import (
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
+from hypose.io.file_names import free_path
 from hypose.io.files import read_bytes, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
 from hypose.synthetic.gesture_people import GESTURES, load_people

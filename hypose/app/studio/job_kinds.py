@@ -19,6 +19,7 @@ from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item, Kind, changed
 from hypose.errors import HyposeError, InputError
+from hypose.io.file_names import free_path
 from hypose.io.files import read_json, read_toml
 from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
@@ -359,13 +360,3 @@ def saved_clicks(folder: Path, name: str) -> Path:
 def is_name(text: str) -> bool:
     """Return whether a text is a safe name of a folder or file on any system."""
     return re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,78}[A-Za-z0-9_-])?", text) is not None
-
-
-def free_path(parent: Path, name: str, ending: str = "") -> Path:
-    """Return parent/name, or the first free numbered name: walk, walk-2, walk-3; each with an ending."""
-    numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
-    stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
-    path = parent / f"{name}{ending}"
-    while path.exists():
-        path, number = parent / f"{stem}-{number}{ending}", number + 1
-    return path

@@ -25,10 +25,10 @@ from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.reports.result_pictures import jpeg
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.http import Message, NotNow, Topic, request_number, text, whole
-from hypose.app.studio.job_kinds import free_path
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON, PARENT
+from hypose.io.file_names import free_path
 from hypose.io.videos.camera_sources import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus

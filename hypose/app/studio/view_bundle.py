@@ -254,7 +254,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "truth": truth
         and {
             "names": list(truth.names),
-            "parents": list(truth.parents),
+            "parents": s.parents,
             "mean_mm": truth.mean_mm,
             "note": truth.note,
         },

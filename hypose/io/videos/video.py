@@ -76,49 +76,51 @@ def read_image_file(path: Path) -> bytes:
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
-def is_cut_png(data: bytes) -> bool:
-    """Test whether data are a PNG that is cut off, with chunks longer than the data.
+def png_header(data: bytes) -> tuple[int, int, int, int]:
+    """Read width, height, bits per value and colour type (0 grey, 3 palette) of a PNG; zeros for other data."""
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+        return 0, 0, 0, 0
+    return struct.unpack(">IIBB", data[16:26])
 
-    Why: OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a damaged file of a kilobyte.
-    """
-    if not data.startswith(PNG_SIGNATURE):
-        return False
-    at, kind = len(PNG_SIGNATURE), b""
+
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Split a PNG into chunks: the kind and the whole of each, up to the last that the data hold completely."""
+    at = len(PNG_SIGNATURE)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
-        at += 12 + length
-        if kind == b"IEND":
-            break
-    return at > len(data) or kind != b"IEND"
+        begin, at = at, at + 12 + length
+        if at <= len(data):
+            yield kind, data[begin:at]
+
+
+def decode(data: bytes, how: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] | None:
+    """Decode an image; None where it is no image, or damaged.
+
+    how: OpenCV's flag for the conversion of colours.
+    Why: of a PNG that is cut off, OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a
+        damaged file of a kilobyte.
+    """
+    if data.startswith(PNG_SIGNATURE) and b"IEND" not in dict(png_chunks(data)):
+        return None
+    with quiet(), contextlib.suppress(cv2.error):
+        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), how)
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as (h, w, 3) uint8 BGR.
+    """Read an image file as (h, w, 3) uint8 BGR. A grey one of 16 bits counts as a depth map: near is bright, holes are
+    black.
 
     Raises: InputError where the file does not exist or is damaged.
     """
-    path = Path(path)
-    data = read_image_file(path)
-    with quiet():
-        try:
-            image = None if is_cut_png(data) else _in_colours(np.frombuffer(data, dtype=np.uint8))
-        except cv2.error:
-            image = None
+    data = read_image_file(Path(path))
+    depth = png_header(data)[2:] == (16, 0)
+    image = decode(data, cv2.IMREAD_UNCHANGED if depth else cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(f"{path} is not an image or is damaged; replace it with a PNG or JPEG file.")
+    if depth:
+        shade = np.where(image > 0, np.clip(255 - image.astype(np.float32) * (200 / 6000), 40, 255), 0)
+        image = np.repeat(shade.astype(np.uint8).reshape(*image.shape[:2], -1)[..., :1], 3, 2)
     return np.asarray(image, dtype=np.uint8)
-
-
-def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """Decode an image in colours. A grey one of 16 bits counts as a depth map: near is bright, holes are black."""
-    # the header of a 16-bit PNG says so; everything else is decoded as it is
-    if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
-        return cv2.imdecode(data, cv2.IMREAD_COLOR)
-    levels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.ndim != 2:
-        return None
-    shade = np.where(levels > 0, np.clip(255 - levels.astype(np.float32) * (200 / 6000), 40, 255), 0)
-    return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
 def list_images(folder: Path) -> list[Path]:
