@@ -86,8 +86,7 @@ export interface NewRecording {
 export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "keypoints" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine" | "fuse";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
-  name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
-  left_s: number | null; unit: string;
+  name: string; title: string; done: number; total: number; seconds: number; unit: string;
 }
 export interface Job {
   /** The next job on the way to a motion follows by itself. */

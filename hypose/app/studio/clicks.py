@@ -25,6 +25,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
+from hypose.evidence.keypoints import landmark_of
 from hypose.evidence.terms import KeypointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
@@ -109,16 +110,13 @@ class _Clicks:
         if not cameras:
             raise InputError("Nothing is clicked yet.")
         names = tuple(n for n in CLICK_JOINTS if any(n in found[c] for c in cameras))
-        table, s, marks = np.zeros((len(cameras), len(names), 3)), body.skeleton, body.landmarks
-        joint, offset = np.zeros(len(names), dtype=np.int64), np.zeros((len(names), 3))
+        table = np.zeros((len(cameras), len(names), 3))
         for k, name in enumerate(names):
             for c, camera in enumerate(cameras):
                 if (p := found[camera].get(name)) is not None:
                     table[c, k] = p["x"], p["y"], _OCCLUDED if p.get("occluded") else 1.0
-            if name in s.joint_names:
-                joint[k] = s.joint(name)
-            else:
-                joint[k], offset[k] = marks.joint[marks.index(name)], marks.offset[marks.index(name)]
+        # key points call the base of the neck so, and the middle between the shoulders neck
+        joint, offset, _ = landmark_of(["upper_neck" if n == "neck" else n for n in names], body)
         return cls(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2], joint, offset)
 
 

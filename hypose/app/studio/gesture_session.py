@@ -137,16 +137,26 @@ class Judge:
         correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
         seconds = min(self._clock, _WINDOW_S)
         recent = sum(t > self._clock - _WINDOW_S for t in self._alarms)
-        out = {"on": "test" if test else "segments", "frames": len(seen), "positives": positives, "ap": None}
-        out |= {"precision": [], "recall": [], "scores": [], "tested_s": round(seconds, 1)}
-        out |= {"false_per_min": recent * 60 / seconds if seconds > 5 else None}
+        out = {
+            "on": "test" if test else "segments",
+            "frames": len(seen),
+            "positives": positives,
+            "ap": None,
+            **{curve: [] for curve in ("precision", "recall", "scores")},
+            "tested_s": round(seconds, 1),
+            "false_per_min": recent * 60 / seconds if seconds > 5 else None,
+        }
         if 0 < positives < len(seen):
             precision, recall = precision_recall(scores, correct, positives)
             ranked = scores[np.lexsort((correct, -scores))]
             ranked = ranked[ranked > 0]
             pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
-            out |= {"ap": average_precision(scores, correct, positives), "scores": ranked[pick].round(3).tolist()}
-            out |= {"precision": precision[pick].round(4).tolist(), "recall": recall[pick].round(4).tolist()}
+            out |= {
+                "ap": average_precision(scores, correct, positives),
+                "precision": precision[pick].round(4).tolist(),
+                "recall": recall[pick].round(4).tolist(),
+                "scores": ranked[pick].round(3).tolist(),
+            }
         return out
 
 

@@ -165,9 +165,8 @@ class Results:
             raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
         estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
         times = np.arange(len(estimates)) / recording.frame_rate
-        frames = saved.identity.get("settings", {}).get("frames")
         tracked = motion_of(body, times, estimates, saved.identity)
-        first = int(frames[0]) if frames else 0
+        first = first_frame(tracked)
         return view_bundle(ViewResult(recording.name, tracked, body, recording, first_frame=first, complete=False))
 
 

@@ -196,18 +196,13 @@ def open_port(host: str, port: int) -> socket.socket:
     port: 0: any free one.
     Raises: InputError where the port cannot be used.
     """
-    opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        opened.bind((host, port))
-        opened.listen()
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except (OSError, OverflowError) as error:
-        opened.close()
         raise InputError(
             f"Port {port} on {host} cannot be used ({listen_error(error)}); choose another with --port, 0 takes any "
             "free one."
         ) from None
-    return opened
 
 
 def run_server(root: Path, host: str, port: int, token: str | None, ready: Callable[[str], None]) -> None:
