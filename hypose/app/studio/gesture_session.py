@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, event_value, growing_model, open_source
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.http import DEPTH, MAP, Message, Topic, digits, request_choice, request_number, text, whole
 from hypose.app.studio.live_topics import recording_folder
 from hypose.compute.forests import DepthImage
@@ -45,7 +45,7 @@ from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, de
 from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
 from hypose.io.file_names import free_path
-from hypose.io.files import read_bytes, read_json
+from hypose.io.files import read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
 from hypose.synthetic.gesture_people import GESTURES, load_people
 
@@ -606,8 +606,6 @@ class Run:
 # Pictures of depth and votes, and lists of sessions, models and sources, for the page.
 
 
-_MOST_BYTES = 64 << 20
-"""Largest frames.csv of a session that is read, bytes."""
 _SIZE = 96
 """Width and height of the thumbnail, px."""
 _HALF_M = 0.22
@@ -639,28 +637,14 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
-def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the recorded gesture sessions for the page, as JSON values, without reading their pictures."""
-    return [
-        {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
-        for item in catalog.items("session")
-        for gestures, frames in [_brief(item.path)]
-    ]
-
-
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the usable gesture models for the page, as JSON values."""
     found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
     return [
-        {**_named(item, item.path.stem, catalog), "gesture": facts[0], "threshold": facts[1]}
+        {"id": item.id, "path": catalog.shown(item.path), "gesture": facts[0], "threshold": facts[1]}
         for item, facts in found
         if facts is not None
     ]
-
-
-def _named(item: Item, name: str, catalog: Catalog) -> dict[str, Any]:
-    """Return id, name and path of an item for a list."""
-    return {"id": item.id, "name": name, "path": catalog.shown(item.path)}
 
 
 @lru_cache(maxsize=512)
@@ -683,7 +667,11 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
         for n in range(len(load_people()))
     ]
     recorded = [
-        {"value": f"session:{item.id}", "title": f"Recorded session {item.path.name}", "gestures": _brief(item.path)[0]}
+        {
+            "value": f"session:{item.id}",
+            "title": f"Recorded session {item.path.name}",
+            "gestures": _gestures_of(item.path),
+        }
         for item in catalog.items("session")
     ]
     camera: dict[str, Any] = {"value": "realsense", "title": "RealSense camera"}
@@ -692,14 +680,12 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
     return [*people, *recorded, camera]
 
 
-def _brief(folder: Path) -> tuple[list[str], int]:
-    """Read the names of the gestures and the number of frames of a session."""
-    try:
+def _gestures_of(folder: Path) -> list[str]:
+    """Read the names of the gestures of a session; none where it cannot be read."""
+    names = None
+    with contextlib.suppress(HyposeError, AttributeError):
         names = read_json(folder / "session.json", "a session.json").get("gestures")
-        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
-    except (HyposeError, AttributeError):
-        return [], 0
-    return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)
+    return [str(n) for n in names] if isinstance(names, list) else []
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:

@@ -33,7 +33,6 @@ from hypose.app.studio.gesture_session import (
     GestureTopic,
     gesture_thumbnail,
     models_shown,
-    sessions_shown,
     sources_shown,
 )
 from hypose.app.studio.http import (
@@ -116,7 +115,6 @@ class Studio:
                 for i in catalog.items("recording")
             ],
             "results": found,
-            "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
             "skeletons": [
