@@ -19,12 +19,12 @@ from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhou
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject import TrackedSubject
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.view_source import ViewSource
+    from hypose.pipeline.subject import TrackedSubject
 
 
 @runtime_checkable
@@ -49,7 +49,7 @@ FrameRange = Callable[[range], Iterable[Frame]]
 """Function that reads the frames with the given numbers, one after the other."""
 
 
-def frames_backwards(frames: FrameRange, stop: int, block: int) -> Iterator[Frame]:
+def frames_backwards(frames: FrameRange, stop: int, block: int = SETTINGS.sides_block) -> Iterator[Frame]:
     """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
     backwards.
     """
@@ -104,7 +104,7 @@ class PictureFrames:
 
     def _backwards(self, begin: int) -> Iterator[Frame]:
         """Yield the frames begin, begin - 1, ..., 0; as many at once as their memory allows."""
-        size = 1 if self._pictures is None else 3 * int(np.prod(self._pictures.into.size))
+        size = 1 if self._pictures is None else 3 * int(np.prod(self._pictures.prepare.size))
         block = max(1, SETTINGS.picture_ahead_bytes // size)
         return frames_backwards(lambda numbers: map(self.frame, numbers), begin + 1, block)
 
