@@ -27,7 +27,7 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
-from hypose.app.options import TrackCommand
+from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
@@ -121,9 +121,8 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
             options = {_COLUMNS_OF_TRACK[name].name: _COLUMNS_OF_TRACK[name].parse(v) for name, v in given.items()}
             for name in options.keys() & {"subject", "calibration"}:
                 options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
-            command = TrackCommand(
-                recording=path.parent / Path(row["recording"].strip()).expanduser(), **{**more, **options}
-            )
+            recording = path.parent / Path(row["recording"].strip()).expanduser()
+            command = TrackCommand(recording=recording, **{**recorded_options(recording), **more, **options})
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
@@ -147,7 +146,7 @@ def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task
             f"{given[0]} is neither a table (.csv) nor the folder of a recording; for all recordings in a folder give "
             f"{given[0]}/*, see docs/batch.md."
         )
-    return [Task(TrackCommand(recording=p, **more)) for p in folders]
+    return [Task(TrackCommand(recording=p, **{**recorded_options(p), **more})) for p in folders]
 
 
 def ordered_tasks(

@@ -143,11 +143,6 @@ class Hypotheses:
         """Number N of hypotheses per population."""
         return self.values.shape[-2]
 
-    @property
-    def dimension(self) -> int:
-        """Number D of coordinates of a state."""
-        return self.values.shape[-1]
-
     @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
@@ -180,7 +175,7 @@ class Hypotheses:
         return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
-        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.TangentMean`."""
+        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.tangent_mean`."""
         return np.einsum("...n,...nd->...d", self.weights, self.values)
 
     def best(self) -> FloatArray:

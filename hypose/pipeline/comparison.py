@@ -27,7 +27,7 @@ from hypose.geometry import Array, procrustes, transform
 from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
-from hypose.io.motions.results import load_archive
+from hypose.io.motions.results import Archive
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import CARRIERS, EVALUATED_JOINTS, coverage, joint_errors, population_offsets
@@ -567,13 +567,10 @@ def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Trut
 
     Raises: InputError where the file is no truth of hypose, or the motion has no poses.
     """
-    path = Path(path)
-    step = "make the recording again"
-    data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)
-    try:
-        joints, stature = np.asarray(data["joints"], dtype=np.float64), float(data["stature"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is no truth of hypose ({error}); {step}.") from None
+    kind = Archive("truth", "make the recording again", packed=_MAX_BYTES)
+    joints, stature = kind.load(
+        Path(path), lambda a: (a["joints"].astype(np.float64), float(a["stature"])), ("joints", "stature")
+    )
     if motion.poses is None:
         raise InputError("The motion holds joint positions only and cannot be compared; track again.")
     joints = joints[first : first + len(motion)]

@@ -76,6 +76,11 @@ class TrackResult:
         return np.ones(len(self.motion), dtype=np.bool_) if self.present is None else self.present
 
     @property
+    def spans(self) -> list[list[int]]:
+        """Rows [first, one after the last] of the motion in which the person is there."""
+        return [[r.start, r.stop] for r in runs(self.there)]
+
+    @property
     def assessment(self) -> Assessment:
         """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons.
 
@@ -118,13 +123,16 @@ class TrackResult:
     def save(self, folder: str | Path) -> None:
         """Write motion.npz, body.npz, provenance.json and assessment.json, which `load_result` reads.
 
+        The assessment of one of several people also has the rows in which the person is there (`spans`).
+
         folder: is made where it does not exist.
         """
         results = ResultsFolder(Path(folder))
         save_motion(self.motion, results.motion)
         save_body(self.body, results.file("body.npz"))
         results.write_json("provenance.json", self.motion.provenance)
-        results.write_json(ASSESSMENT_FILE, self.assessment.with_joints(self.motion))
+        there = {"there": self.spans} if self.name else {}
+        results.write_json(ASSESSMENT_FILE, {**self.assessment.with_joints(self.motion), **there})
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:

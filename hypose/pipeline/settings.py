@@ -73,8 +73,6 @@ class PipelineSettings:
     gait_least_step: Least time between two strikes of a foot, s.
     gait_facing: Time over which the facing direction is averaged, s.
     gait_stride_s: Limits of the duration of a stride, s.
-    gesture_max_frames: Most frames of a session that are read.
-    gesture_max_gestures: Most gestures of a session.
     gesture_waiting: Most pictures of a session that wait to be written.
     gesture_telling: Number of first pictures that identify a session.
     path_surprise: Deviation of a person from the predicted motion, m/s.
@@ -321,8 +319,6 @@ class PipelineSettings:
     gait_least_step: float = 0.25
     gait_facing: float = 0.4
     gait_stride_s: tuple[float, float] = (0.6, 2.5)
-    gesture_max_frames: int = 1_000_000
-    gesture_max_gestures: int = 16
     gesture_waiting: int = 4
     gesture_telling: int = 10
     path_surprise: float = 1.0

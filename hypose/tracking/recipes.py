@@ -23,7 +23,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import every, reflect
-from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
+from hypose.inference.layer import Layer, Recipe, Recovery, go_on
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.arm_hypotheses import RefineRivals
@@ -169,7 +169,7 @@ def _solving(base: Recipe) -> Recipe:
     return replace(
         base,
         start=settled_start,
-        predict=GoOn(),
+        predict=go_on,
         estimate=solved,
         uncertainty=uncertainty_of_pose,
         recover=Recovery(find=recover, rival=look_for_exchange),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -22,8 +22,9 @@ from hypose.body.skeleton import Skeleton
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.inference.estimates import TangentMean
+from hypose.inference.estimates import tangent_mean
 from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import Estimate
 from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, mean_overlap
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
@@ -254,11 +255,11 @@ def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveS
     return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
-def pose_mean(skeleton: Skeleton) -> TangentMean:
+def pose_mean(skeleton: Skeleton) -> Estimate:
     """Build the estimate by weighted mean pose; rotation vectors are averaged on SO(3), never as raw angles across
     +-pi.
     """
-    return TangentMean(tuple(int(s) for s in skeleton.ball_starts))
+    return partial(tangent_mean, rotations=skeleton.ball_starts)
 
 
 def solved(h: Hypotheses, /) -> Array:

@@ -48,7 +48,6 @@ from hypose.io.motions.results import (
     load_motion,
     provenance,
     provenance_identity,
-    save_body,
     to_json,
 )
 from hypose.io.recordings.frames import FrameStream
@@ -196,7 +195,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
         first = people[0]
         for one in people:
-            _save(_folder(job, one), one)
+            one.save(_folder(job, one).path)
         truth = job.truth(first.motion) if job.truth is not None else None
         if found.complete:
             for one in people:
@@ -337,23 +336,9 @@ _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
 """Files that exist before the motion files of a person are written; MODES with one camera only."""
 
 
-def _save(results: ResultsFolder, one: TrackResult) -> None:
-    """Write body, provenance and assessment of one person; the motion is there already."""
-    motion = one.motion
-    save_body(one.body, results.file("body.npz"))
-    results.write_json("provenance.json", motion.provenance)
-    there = {"there": _there(one)} if one.name else {}
-    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(motion), **there})
-
-
 def _folder(job: TrackJob, one: TrackResult) -> ResultsFolder:
     """Return the results folder of one person; a single person, without a name, has that of the job."""
     return ResultsFolder(job.results.path / one.name)
-
-
-def _there(one: TrackResult) -> list[list[int]]:
-    """List the rows [first, one after the last] of the motion in which a person is present."""
-    return [[r.start, r.stop] for r in runs(one.there)]
 
 
 def _export_and_report(
@@ -450,7 +435,7 @@ def _together(
         files.append(results.file("motion.glb"))
         write_people_glb(files[-1], [(p.name, p.motion, p.body) for p in people])
     about = [
-        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
+        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": p.spans}
         | {"stature": p.body.stature}
         for p in people
     ]

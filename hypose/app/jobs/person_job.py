@@ -11,10 +11,10 @@ import numpy as np
 from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
-from hypose.app.jobs.checking import write_image
+from hypose.app.jobs.checking import write_frames
 from hypose.app.jobs.job import choose_frames, job_of, recording_of, track_shown
 from hypose.app.options import SubjectCommand, TrackCommand
-from hypose.app.reports.result_pictures import Canvas, Drawing, DrawnBody, open_images
+from hypose.app.reports.result_pictures import Drawing, DrawnBody
 from hypose.errors import InputError
 from hypose.evidence.pose_network import PoseDetector
 from hypose.io.files import claimed
@@ -89,20 +89,17 @@ def _picture(path: Path, recording: Recording, source: FrameStream, found: Subje
     source: frames of the recording.
     found: the fitted body with its poses.
     """
-    rows = []
-    with open_images(recording) as images:
-        canvas = Canvas(recording, images)
-        for k in sorted({0, len(found.frames) // 2}):
-            frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
-            pictures = [v.read(number) for v in images]
-            for body, poses, iou, what in (
-                (found.template, found.template_poses, found.iou_before, "before"),
-                (found.body, found.poses, found.iou, "after"),
-            ):
-                title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
-                drawn = DrawnBody(body, body.skin(poses[k], body.fine), body.joints(poses[k]))
-                rows.append(canvas.draw(pictures, Drawing(frame.silhouettes, title, (drawn,))).copy())
-    write_image(path, np.concatenate(rows))
+    shown = []
+    for k in sorted({0, len(found.frames) // 2}):
+        frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
+        for body, poses, iou, what in (
+            (found.template, found.template_poses, found.iou_before, "before"),
+            (found.body, found.poses, found.iou, "after"),
+        ):
+            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+            drawn = DrawnBody(body, body.skin(poses[k], body.fine), body.joints(poses[k]))
+            shown.append((number, Drawing(frame.silhouettes, title, (drawn,))))
+    write_frames(recording, shown, path)
     return path
 
 
