@@ -360,12 +360,10 @@ def assess_picture(clip: ClipState) -> ClipState:
     """Judge the motion of one camera by its picture; the modes give the other possible poses.
 
     The motion gets frames of low confidence and, by its covariance, the error probability of each joint; its
-    uncertainty is in the modes. Without a motion nothing is done.
+    uncertainty is in the modes.
     """
     motion = clip.motion
-    if motion is None:
-        return clip
-    assert motion.poses is not None and clip.modes is not None
+    assert motion is not None and motion.poses is not None and clip.modes is not None
     deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence
