@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import InputError
-from hypose.io.file_names import natural_key
-from hypose.io.files import csv_rows, numbers_of
+from hypose.io.files import csv_rows, natural_key, numbers_of
 
 
 class Source:

@@ -29,7 +29,7 @@ from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.io.videos.camera_sources import is_device
+from hypose.io.videos.video import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions

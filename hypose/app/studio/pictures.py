@@ -24,7 +24,7 @@ from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
-from hypose.io.recordings.view_source import Preparer
+from hypose.io.recordings.recording_views import Preparer
 from hypose.io.videos.video import open_capture, open_video
 
 _DECODED_AHEAD = 24  # frames ahead that are faster decoded than reached by seeking

@@ -30,8 +30,16 @@ from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_plain_pickle
-from hypose.io.file_names import last_number
-from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, read_text, readable_size
+from hypose.io.files import (
+    csv_rows,
+    last_number,
+    numbers_of,
+    open_file,
+    read_bytes,
+    read_json,
+    read_text,
+    readable_size,
+)
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
 from hypose.json_text import parse_json

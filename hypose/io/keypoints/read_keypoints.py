@@ -19,8 +19,7 @@ from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoints import IMPLAUSIBLE, KEYPOINT_SETS, arranged, bone_excess, keypoint_names, set_of_points
 from hypose.geometry import Array
-from hypose.io.file_names import file_name, match_names
-from hypose.io.files import read_json, write_text
+from hypose.io.files import file_name, match_names, read_json, write_text
 from hypose.io.keypoints.keypoint_files import KEYPOINTS, MAX_POINT_FRAMES, KeypointTable, clock_file
 from hypose.io.videos.video import evenly_spread
 

@@ -22,8 +22,16 @@ from hypose.body.joint_angles import is_length
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.file_names import utf8_path
-from hypose.io.files import MAX_TEXT_BYTES, atomic_path, numbers_of, open_file, read_bytes, text_lines, write_text
+from hypose.io.files import (
+    MAX_TEXT_BYTES,
+    atomic_path,
+    numbers_of,
+    open_file,
+    read_bytes,
+    text_lines,
+    utf8_path,
+    write_text,
+)
 
 # ---- markers -------------------------------------------------------------------------------------------------------
 # Markers: the type that every reader of marker files returns.

@@ -29,8 +29,7 @@ from hypose.body.motion import Modes, Motion, modes_arrays
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array
-from hypose.io.file_names import natural_key
-from hypose.io.files import atomic_path, open_file, unreadable, write_text
+from hypose.io.files import atomic_path, natural_key, open_file, unreadable, write_text
 from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30

@@ -17,8 +17,7 @@ from typing import Any
 from hypose.errors import InputError
 from hypose.evidence.keypoints import KEYPOINT_SETS, set_of_points
 from hypose.io.calibrations.calibration_formats import find_calibration
-from hypose.io.file_names import match_names, natural_key, text_of
-from hypose.io.files import read_toml
+from hypose.io.files import match_names, natural_key, read_toml, text_of
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images

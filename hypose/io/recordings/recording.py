@@ -69,8 +69,7 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_calibration
 from hypose.io.calibrations.camera_tables import UNITS
-from hypose.io.file_names import file_name, match_names, text_of
-from hypose.io.files import read_toml, toml_lines, write_text
+from hypose.io.files import file_name, match_names, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_views import (

@@ -25,10 +25,18 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import utf8_path
-from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
-from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import VideoReader, decode, list_images, png_header, sequence_numbers
+from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, utf8_path, write_bytes
+from hypose.io.videos.video import (
+    CameraImage,
+    CameraSource,
+    Played,
+    StreamEnded,
+    VideoReader,
+    decode,
+    list_images,
+    png_header,
+    sequence_numbers,
+)
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
-from hypose.io.file_names import text_of
 from hypose.io.files import (
     MAX_TEXT_BYTES,
     RecordingFolder,
@@ -32,6 +31,7 @@ from hypose.io.files import (
     numbers_of,
     read_json,
     text_lines,
+    text_of,
     write_text,
 )
 from hypose.io.formats import Format, FormatTable, Source
