@@ -19,6 +19,7 @@ import stat
 import sys
 import tempfile
 import tomllib
+import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -35,6 +36,11 @@ MAX_JSON_BYTES = 4 * 2**20
 MAX_TOML_BYTES = 5_000_000
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Error numbers of the operating system for a full disk."""
+DAMAGED = (
+    *(ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError, MemoryError, EOFError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""Errors of parsers at content that is damaged or is something else; RecursionError is one of them."""
 # do not wait for a FIFO or terminal
 _READ = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
@@ -175,8 +181,10 @@ def numbers_of(where: str) -> Iterator[None]:
         yield
     except KeyError as error:
         raise InputError(f"{where} has no {str(error.args[0])[:60]!r}; export the file again.") from None
-    except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RecursionError, MemoryError) as error:
-        reason = f" ({str(error)[:100]})" if isinstance(error, ValueError) else ""
+    except OSError as error:
+        raise InputError(f"{where} cannot be read ({reason_of(error)[:100]}); export the file again.") from None
+    except DAMAGED as error:
+        reason = f" ({' '.join(str(error).split())[:100]})" if isinstance(error, ValueError) else ""
         raise InputError(
             f"{where} holds something that is not what is expected there{reason}, or is cut off; export the file again."
         ) from None

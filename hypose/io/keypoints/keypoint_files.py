@@ -585,12 +585,8 @@ def _h5(source: Source) -> Iterator[Any]:
     """Open an HDF5 file within a with block; errors of the library become an InputError."""
     readable_size(source.path, source.kind, MAX_BYTES)
     h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
-    try:
-        with h5py.File(source.path, "r") as file:
-            yield file
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
-        reason = " ".join(str(problem).split())[:100]
-        raise InputError(f"{source.path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+    with numbers_of(f"{source.path}, read as HDF5,"), h5py.File(source.path, "r") as file:
+        yield file
 
 
 def _h5_holds(source: Source, wanted: Callable[[Any], Any]) -> bool:

@@ -328,17 +328,18 @@ def frame_times(path: Path) -> Array | None:
     Returns: (T,) s from the first frame; None where there is not one increasing time stamp per frame.
     """
     about = path.stat()
-    return _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
-
-
-@lru_cache(maxsize=64)
-def _stamps(path: Path, size: int, changed: int) -> Array | None:
-    with _capturing(path, raw=True) as capture:
-        found = [capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 for _ in iter(capture.grab, False)]
-    times = np.sort(found)  # packets are stored in the order of decoding
+    times = _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
     if len(times) < 2 or len(times) != count_frames(path) or not (np.diff(times) > 0).all():
         return None
     return times - times[0]
+
+
+@lru_cache(maxsize=64)
+def _stamps(path: Path, size: int, changed: int) -> Array:
+    """Read the time stamps of all stored packets, in increasing order, s."""
+    with _capturing(path, raw=True) as capture:
+        found = [capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 for _ in iter(capture.grab, False)]
+    return np.sort(found)  # packets are stored in the order of decoding
 
 
 def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
@@ -395,26 +396,13 @@ def _looked_into(path: Path, state: tuple[int, ...] | None) -> _About:
                 f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
                 "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
             )
-    by_packets = codec in _PICTURE_PER_PACKET
-    whole = stated > 0 and (by_packets and _holds_packets(path, stated) or _ends_with(path, stated))
+    packets = len(_stamps(path, *state[:2])) if state and codec in _PICTURE_PER_PACKET else 0
+    whole = stated > 0 and (packets == stated or _ends_with(path, stated))
     count = stated
     if not whole:
         with _capturing(path) as capture:
             count = sum(1 for _ in iter(capture.grab, False))
     return _About((first.shape[1], first.shape[0]), rate if 0 < rate < 100_000 else None, stated, count)
-
-
-def _holds_packets(path: Path, stated: int) -> bool:
-    """Test whether a video has the stated number of packets, without decoding.
-
-    It reads the position of the last key frame and counts the packets from there to the end.
-    """
-    with _capturing(path, raw=True) as capture:
-        capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
-        number = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
-        while number <= stated and capture.grab():
-            number += 1
-        return number == stated
 
 
 def _ends_with(path: Path, stated: int) -> bool:
