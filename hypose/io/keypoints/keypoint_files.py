@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.errors import InputError, extra
+from hypose.errors import InputError, extra, refuse
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_plain_pickle
@@ -114,10 +114,13 @@ def checked_people(values: Any, where: str) -> Array:
         p = np.array(values, dtype=np.float64)
     if p.size == 0:
         return np.zeros((0, 0, 3))
-    if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
-        raise InputError(f"{where}: key points have the shape {p.shape}, people x points x 3 is needed; export again.")
-    if np.isinf(p).any():
-        raise InputError(f"{where}: a key point is infinite; export it again.")
+    faults = {
+        f"key points have the shape {p.shape}, people x points x 3 is needed; export again": (
+            p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS
+        ),
+        "a key point is infinite; export it again": np.isinf(p).any(),
+    }
+    refuse(f"{where}: ", faults)
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
 

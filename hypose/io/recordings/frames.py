@@ -370,14 +370,13 @@ def _rig_of(recording: Recording, options: FrameSettings | None = None) -> Camer
     return working_rig(recording.rig, options, [v in recording.depth_views for v in recording.views])
 
 
-def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints]:
-    """Load the key points of the recording's person in each frame, px of the working-size cameras.
+def load_keypoints(recording: Recording) -> list[Keypoints]:
+    """Load the key points of the recording's person in each frame, px of the cameras of the usual working size.
 
-    options: settings with the working size; the defaults where None.
     Returns: one per frame of recording.frames, with confidence 0 where the person is not seen; empty where the
         recording has no key points.
     """
-    return load_person(recording, _rig_of(recording, options)).keypoints
+    return load_person(recording, _rig_of(recording)).keypoints
 
 
 class _Skeletons:
@@ -548,7 +547,7 @@ class FrameStream:
         if masks and recording.depth_views:
             self._readers[Depth] = self._with_depth
         if self.keypoints:
-            self._readers[Keypoints] = self._with_keypoints
+            self._readers[Keypoints] = lambda frame, index: replace(frame, keypoints=self.keypoints[index])
         self.kinds = frozenset(self._readers)
 
     def _open(self, backgrounds: Sequence[BackgroundModel | None] | None, progress: Progress) -> None:
@@ -637,10 +636,6 @@ class FrameStream:
         for with_piece in self._readers.values():
             frame = with_piece(frame, index)
         return frame
-
-    def _with_keypoints(self, frame: Frame, index: int) -> Frame:
-        """Add the key points of the person to a frame."""
-        return replace(frame, keypoints=self.keypoints[index])
 
     def _with_masks(self, frame: Frame, index: int) -> Frame:
         """Add silhouettes to a frame, and the colours within them where they are wanted."""

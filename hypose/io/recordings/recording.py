@@ -63,7 +63,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError, InputError
+from hypose.errors import CalibrationError, InputError, refuse
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
@@ -589,18 +589,16 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
         paths[key] = path
-    if "video" in paths and "images" in paths:
-        raise InputError(f"{where}: video and images are both given; keep the one to use.")
-    if "depth" in paths and (others := sorted(paths.keys() & {"video", "images", "masks"})):
-        raise InputError(
-            f"{where}: depth and {', '.join(others)} are both given; a depth "
-            "camera is a view of its own, with its own camera in the calibration."
-        )
-    if not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}:
-        raise InputError(
-            f"{where}: neither video, images, depth, masks nor keypoints are given; add one of them, or remove the "
-            "view."
-        )
+    others = sorted(paths.keys() & {"video", "images", "masks"}) if "depth" in paths else []
+    faults = {
+        "video and images are both given; keep the one to use": {"video", "images"} <= paths.keys(),
+        f"depth and {', '.join(others)} are both given; a depth camera is a view of its own, with its own camera in "
+        "the calibration": others,
+        "neither video, images, depth, masks nor keypoints are given; add one of them, or remove the view": (
+            not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}
+        ),
+    }
+    refuse(f"{where}: ", faults)
     shift = tuple(table.get("image_shift", (0.0, 0.0)))
     return ViewSettings(name, paths, image_shift=shift, accept_scaled=table.get("accept_scaled", False))
 

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.errors import HyposeError, InputError
+from hypose.errors import HyposeError, InputError, refuse
 from hypose.geometry import Array, Image
 from hypose.io.files import atomic_path, natural_key, open_file, read_bytes, utf8_path
 
@@ -469,13 +469,12 @@ class VideoWriter:
         self.frame_rate = float(frame_rate)
         self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
         self.n_frames = 0
-        if self.path.suffix.lower() not in _CODECS:
-            raise InputError(f"{self.path} cannot be written: name the video {', '.join(_CODECS)}.")
-        if not 0 < self.frame_rate < 10_000 or min(self.size) < 2:
-            raise InputError(
-                f"{self.path} cannot be written with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; "
-                "give a positive frame rate and at least 2 x 2 px."
-            )
+        faults = {
+            f": name the video {', '.join(_CODECS)}": self.path.suffix.lower() not in _CODECS,
+            f" with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; give a positive frame rate and at least 2 x "
+            "2 px": not 0 < self.frame_rate < 10_000 or min(self.size) < 2,
+        }
+        refuse(f"{self.path} cannot be written", faults)
         self._writer: cv2.VideoWriter | None = None
         self._closing = contextlib.ExitStack()
 
