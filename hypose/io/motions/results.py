@@ -428,15 +428,10 @@ def load_result(path: Path) -> Motion:
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
     file = path / "motion.npz" if path.is_dir() else path
     if path.is_dir() and not file.exists():
-        people = sorted(p.parent for p in path.glob("*/motion.npz"))
-        if people:
-            raise InputError(
-                f"{path} holds the results of {', '.join(p.name for p in people)}; give one of them, for example "
-                f"{people[0]}."
-            )
-        runs = sorted(p.parent for p in path.glob("results/*/motion.npz"))
-        if runs:
-            raise InputError(f"{path} is a recording, not a result; give one of its results, for example {runs[0]}.")
+        found = [p.parent for pattern in ("*/motion.npz", "results/*/motion.npz") for p in sorted(path.glob(pattern))]
+        if found:
+            names = ", ".join(p.relative_to(path).as_posix() for p in found)
+            raise InputError(f"{path} holds the results of {names}; give one of them, for example {found[0]}.")
     if file.suffix.lower() != ".npz":
         raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
     return load_motion(file)
