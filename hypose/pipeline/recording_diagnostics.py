@@ -36,9 +36,8 @@ from hypose.evidence.keypoint_check import triangulated, undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameStream, load_keypoints, unreported
+from hypose.io.recordings.frames import FrameStream, RecordedPerson, load_keypoints, load_person, unreported
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.settings import SETTINGS

@@ -36,8 +36,7 @@ from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.recordings.recording import load_recording
