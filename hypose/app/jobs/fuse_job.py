@@ -31,7 +31,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
-from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import Fused, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
@@ -146,7 +146,6 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(seed=c.seed)
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     try:
@@ -160,7 +159,7 @@ def run_fuse(
                     progress("fuse", before + frames, total)
 
             watch(0)
-            made = fuse_clip(clip, c.method, settings, registration, watch=watch)
+            made = fuse_clip(clip, c.method, registration, seed=c.seed, watch=watch)
             # instants at which no sensor saw the person have no measured time
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
