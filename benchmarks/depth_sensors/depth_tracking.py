@@ -38,7 +38,7 @@ from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.sources import FrameList
@@ -391,7 +391,7 @@ def _away(motion: Motion, scene: DepthScene) -> Array:
     return np.linalg.norm(scene.joints - aligned(motion, scene), axis=-1)[:, EVALUATED].mean(1)
 
 
-class _Late:
+class _Late(Listener):
     """A listener that notes how late each pose is, s."""
 
     def __init__(self) -> None:
@@ -401,9 +401,6 @@ class _Late:
         """See `Listener`."""
         if seen.poses:
             self.late.append(time.monotonic() - seen.captured.arrival)
-
-    def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
 
 
 def live_depth(seed: int, quick: bool) -> dict[str, Any]:

@@ -37,8 +37,7 @@ class Hypotheses:
     role: (*B, N) bit mask, bit k stands for role_names[k]; one number stands for all. Read it with `has`, write it with
         `marked`.
     role_names: names of the roles, at most 31.
-    covariance: (*B, N, D, D) covariance of each single hypothesis, or None.
-    columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost).
+    columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost, a covariance).
     Raises: ValueError where shapes do not agree or a population is empty.
     """
 
@@ -47,7 +46,6 @@ class Hypotheses:
     origin: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role_names: tuple[str, ...] = ()
-    covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,11 +67,6 @@ class Hypotheses:
             if column.shape != log_weights.shape:
                 raise ValueError(f"{name} {column.shape} must be {log_weights.shape}, one number per hypothesis")
             object.__setattr__(self, name, column)
-        if self.covariance is not None:
-            covariance = np.asarray(self.covariance, dtype=np.float64)
-            if covariance.shape != (*values.shape, values.shape[-1]):
-                raise ValueError(f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}")
-            object.__setattr__(self, "covariance", covariance)
         for name, column in self.columns.items():
             if column.shape[: log_weights.ndim] != log_weights.shape:
                 raise ValueError(f"the column '{name}' {column.shape} needs one row per hypothesis {log_weights.shape}")
@@ -143,11 +136,6 @@ class Hypotheses:
         """Number N of hypotheses per population."""
         return self.values.shape[-2]
 
-    @property
-    def dimension(self) -> int:
-        """Number D of coordinates of a state."""
-        return self.values.shape[-1]
-
     @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
@@ -180,7 +168,7 @@ class Hypotheses:
         return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
-        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.TangentMean`."""
+        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.tangent_mean`."""
         return np.einsum("...n,...nd->...d", self.weights, self.values)
 
     def best(self) -> FloatArray:
@@ -199,14 +187,13 @@ class Hypotheses:
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """Select hypotheses by index (*B, M), with their log-weights, origins, roles, covariances and columns."""
+        """Select hypotheses by index (*B, M), with their log-weights, origins, roles and columns."""
         chosen = np.asarray(index, dtype=np.intp)
         return self._with(
             values=_taken(self.values, chosen),
             log_weights=_taken(self.log_weights, chosen),
             origin=_taken(self.origin, chosen),
             role=_taken(self.role, chosen),
-            covariance=None if self.covariance is None else _taken(self.covariance, chosen),
             columns={name: _taken(column, chosen) for name, column in self.columns.items()},
         )
 

@@ -189,16 +189,16 @@ def not_shown(joints: Sequence[str]) -> Finding:
     return Finding("not shown", (), text, severity=INFO)
 
 
-def other_people_note(more: int, where: str, command: str) -> Finding:
+def other_people_note(more: int, where: str, command: str) -> tuple[Finding, ...]:
     """Make the finding that counts the other people in the masks or key points.
 
-    more: number of other people.
+    more: number of other people; 0: there is no finding.
     where: evidence that shows them, "masks" or "key points".
     command: option of the command that tracks all people.
     """
     who = "another person is" if more == 1 else f"{more} other people are"
     text = f"Note: {who} in the {where} and left out; {command} tracks everybody"
-    return Finding("other people", (), text, size=more, severity=INFO)
+    return (Finding("other people", (), text, size=more, severity=INFO),) if more else ()
 
 
 def assess(

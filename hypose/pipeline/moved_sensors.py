@@ -7,8 +7,6 @@ its place; the others turn about the vertical and move along the floor, as in th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,24 +104,19 @@ def _refined(
     source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
 ) -> Array:
     """Solve the places (C, 4, 4) of the cameras from some frames and the poses (F, D) in them."""
-    depths = [source.frame(int(t)).of(Depth) for t in frames]
-    views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
+    depths = [source.frame(int(t)).the(Depth) for t in frames]
+    views = np.flatnonzero(np.any([own.usable for own in depths], 0))
     seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
     out = reported.copy()
     out[views] = refine_registration(body, poses, seen, reported[views], iterations)
     return out
 
 
-def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> SurfacePoints:
-    """Select the points that one camera of a frame shows, and turn them into the camera's own frame.
-
-    depths: depth maps of the frame, one or none.
-    """
-    none = np.zeros((0, 3))
-    alone = SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
-    for s in (depth.surface for depth in depths):
-        own = slice(int(s.first[view]), int(s.first[view + 1]))
-        alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
+def _surface(depth: Depth, view: int, camera_from_world: Array) -> SurfacePoints:
+    """Select the points that one camera of a frame shows, and turn them into the camera's own frame."""
+    s = depth.surface
+    own = slice(int(s.first[view]), int(s.first[view + 1]))
+    alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
     return in_camera(alone, camera_from_world)
 
 
@@ -132,7 +125,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
     gain = np.zeros(len(poses))
     for t, pose in enumerate(poses):
         frame = source.frame(t)
-        if all(depth.usable.sum() < 2 for depth in frame.of(Depth)):
+        if frame.the(Depth).usable.sum() < 2:
             continue
         costs = [
             refine(body, pose[None], prepare(placed(frame, places), body, pose), _LONG_SOLVE)[0].cost

@@ -33,7 +33,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array, runs
 from hypose.io.files import read_json
-from hypose.io.videos.video import open_video
+from hypose.io.videos.video import frame_size
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.passes import AFTER_TRACKING, ClipState, Pass, judge_joints
 from hypose.pipeline.settings import SETTINGS
@@ -101,8 +101,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
             f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
             f"--frames {document['frame']}: or click in frame {first}."
         )
-    with open_video(source_of(recording)) as reader:
-        size = reader.size
+    size = picture_size(recording)
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
     if len(joints) < LEAST_CLICKS:
         raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_CLICKS} are needed to start.")
@@ -139,10 +138,8 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
     Returns: (u, v) px by joint name.
     """
     view, camera = recording.views[0], recording.rig[0]
-    with open_video(source_of(recording)) as reader:
-        stored = np.array(reader.size, dtype=np.float64)
     pixels = np.array(list(clicks.values()))
-    calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
+    calibrated = (pixels + 0.5) * np.array(camera.size) / picture_size(recording) - 0.5 + np.asarray(view.image_shift)
     shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
     return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
 
@@ -152,11 +149,11 @@ def extent(pixels: Array) -> float:
     return float(np.ptp(pixels, axis=0).max())
 
 
-def source_of(recording: Recording) -> Path:
-    """Return the file or folder of pictures of a recording of one camera."""
+def picture_size(recording: Recording) -> tuple[int, int]:
+    """Return the size (width, height) of the stored pictures of a recording of one camera, px."""
     source = recording.views[0].source
     assert source is not None  # `one_view` has checked it
-    return source
+    return frame_size(source)
 
 
 def clicks_of(start: str, recording: Recording) -> Clicks | None:
@@ -174,30 +171,16 @@ def clicks_of(start: str, recording: Recording) -> Clicks | None:
     return load_clicks(start, recording)
 
 
-def subject_in_picture(
-    source: FrameSource,
-    frame_rate: float,
-    *,
-    start: str = "auto",
-    evidence: str = "auto",
-    body: Body | None = None,
-    height: float | None = None,
-    floor: float | None = None,
-) -> TrackedSubject:
-    """Find the person in the pictures of one camera: body and rival start poses.
+def find_in_picture(clip: ClipState) -> TrackedSubject:
+    """Find the body and rival start poses of the person of a clip from the pictures of one camera.
 
-    source: frames by number.
-    frame_rate: Hz.
-    start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.recipes.PICTURE_CUES`; only a note to the user depends on it.
-    body: the person's own body; None: a body is fitted.
-    height: m, where known.
-    floor: height of the floor in the world, m; None: not known.
     Raises: InputError or EvidenceError where there is nothing to start from.
     """
+    source, body, height, frame_rate = clip.source, clip.body, clip.options.height, clip.frame_rate
+    start, floor = clip.options.start, clip.options.own.get("floor")
     with contextlib.closing(PictureFrames(source)) as frames:
         template, seen = body or human(), _keypoints_of(source)
-        notes = [_evidence_note(source, evidence, bool(seen))]
+        notes = [_evidence_note(source, clip.options.looks_at, bool(seen))]
         if start in POINT_STARTS:
             at, points = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
@@ -393,13 +376,6 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
 
 
 # ---- passes ----------------------------------------------------------------------------------------------------------
-
-
-def find_in_picture(clip: ClipState) -> TrackedSubject:
-    """Find the body and start poses of the person of a clip from the pictures of one camera."""
-    o = clip.options
-    about = {"start": o.start, "evidence": o.looks_at, "body": clip.body, "height": o.height}
-    return subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
 
 
 def assess_picture(clip: ClipState) -> ClipState:

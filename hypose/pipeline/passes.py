@@ -36,7 +36,7 @@ from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.retracking import backward_pass, correct_left_right, retrack_start
 from hypose.pipeline.sources import FrameSource, Places, tracked_frames
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.track_loop import Deferred, StageProgress, TrackedPerson, TrackingSession, tracker_of
+from hypose.pipeline.track_loop import StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
@@ -72,8 +72,8 @@ _LOG = logging.getLogger(__name__)
 
 def find_alone(clip: ClipState) -> TrackedSubject:
     """Find the body and start pose of the one person of a clip from masks and key points of several cameras."""
-    o, body = clip.options, clip.body
-    wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
+    o = clip.options
+    wanted = SubjectOptions(o.start, o.height, None, o.girths, clip.body, clip.frame_rate, o.seed)
     return find_subject(clip.source.frame, len(clip.source), wanted)
 
 
@@ -255,10 +255,15 @@ def session_of(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     checkpoint: keep the state in the results folder.
     """
     path = clip.results.checkpoint if checkpoint and clip.results is not None else None
-    about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
-    held = Deferred(clip.progress)
     return TrackingSession(
-        list(clip.people), clip.frame_rate, clip.finder, path, held=held, candidates=list(clip.candidates), **about
+        list(clip.people),
+        clip.frame_rate,
+        clip.finder,
+        path,
+        provenance_identity(clip.record),
+        clip.options.checkpoint_every,
+        clip.progress,
+        list(clip.candidates),
     )
 
 
@@ -301,7 +306,7 @@ def track_rest(clip: ClipState, session: TrackingSession) -> ClipState:
     else:
         frames = (source.frame(t) for t in rest)
     with contextlib.closing(frames):
-        error = session.track(frames, last, len(source), clip.progress)
+        error = session.track(frames, last, len(source))
     complete = session.done == len(source) and not session.stopped
     return replace(clip, people=tuple(session.people), candidates=session.candidates, complete=complete, error=error)
 

@@ -125,7 +125,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
         silhouettes,
         clips,
         *about,
-        depths[:: max(1, len(depths) // SETTINGS.examine_looks)],
+        depths[:: max(1, len(depths) // SETTINGS.look_frames)],
     )
 
 

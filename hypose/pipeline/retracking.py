@@ -33,13 +33,11 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.frame_anomalies import looked_again
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.sources import FrameRange, frames_backwards
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.refinement import RIVAL, mismatch, uncertainty_of_pose
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
-
-FrameRange = Callable[[range], Iterable[Frame]]
-"""Function that reads the frames with the given numbers, one after the other."""
 
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -87,7 +85,7 @@ def retrack_start(
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
     better, won, _ = _while_better(
-        tracker, start, out, range(at - 1, -1, -1), with_last(frames_backwards(frames, at)), False
+        tracker, start, out, range(at - 1, -1, -1), with_last(frames_backwards(frames, at, SETTINGS.sides_block)), False
     )
     if len(better) < at or won < SETTINGS.sides_least_back * pace:  # it does not reach the first frame
         return out, range(0)
@@ -129,7 +127,9 @@ def _retracked_from(
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, frames_forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(tracker, start, old, back, with_last(frames_backwards(frames, at)))
+    earlier, won_earlier, before = _while_better(
+        tracker, start, old, back, with_last(frames_backwards(frames, at, SETTINGS.sides_block))
+    )
     compared = range(at - before, at + after)
     return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
@@ -178,14 +178,6 @@ def frames_forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple
     before = () if first else (None,)
     pairs = pairwise(chain(before, frames(range(max(0, first - 1), stop))))
     return ((frame, last) for last, frame in pairs if frame is not None)
-
-
-def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
-    """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
-    backwards.
-    """
-    for end in range(stop, 0, -SETTINGS.sides_block):
-        yield from list(frames(range(max(0, end - SETTINGS.sides_block), end)))[::-1]
 
 
 def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
@@ -363,7 +355,7 @@ def _looked_back(
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(_SETTINGS.longest * pace)), -1)
-    with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
+    with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1, SETTINGS.sides_block))) as coming:
         for t, (frame, last) in zip(most, with_last(coming), strict=False):
             prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
             if not prepared.silhouettes.seen or frame.kind == "depth" or not _known(old[t]):

@@ -24,7 +24,7 @@ from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import TrackedPerson, shape_of
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.part_colours import appearance_in, no_appearance
-from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.start_search import starts_in_frame
 from hypose.tracking.tracker import FrameEstimate
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class KnownPerson:
     @property
     def early(self) -> bool:
         """Whether the place is too long before the first frame to identify the person."""
-        return self.place is not None and self.time < -SETTINGS.tracked_early_s
+        return self.place is not None and self.time < -SETTINGS.people_start_s
 
     @property
     def not_found(self) -> str:
@@ -237,7 +237,7 @@ class KeypointPeople:
         Returns: number of the track and its key points; None where no track is near.
         """
         away = [float(np.linalg.norm(t.place(frame)[:2] - place)) for t in self.tracks]
-        free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.points_m]
+        free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.people_near_m]
         if not free:
             return None
         best = so_far if so_far in free else min(free, key=lambda k: away[k])
@@ -407,7 +407,7 @@ def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, 
             away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
             alone = (
                 min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p)))
-                if away < SETTINGS.newcomer_reach
+                if away < SETTINGS.people_near_m
                 else 1.0
             )
             if away < SETTINGS.newcomer_one_place_m or alone < SETTINGS.newcomer_nothing:
@@ -439,11 +439,11 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> l
 
     found: possible people in the hull.
     people: tracked people.
-    Returns: the tall ones, and the others that stand farther than SETTINGS.newcomer_reach from every tracked person
+    Returns: the tall ones, and the others that stand farther than SETTINGS.people_near_m from every tracked person
         whose place is known.
     """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
-    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.people_near_m for q in at)]
 
 
 def candidate_evidence(
@@ -471,7 +471,7 @@ def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
     """
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
-    return prepared, start_from_hull(body, prepared).pose
+    return prepared, starts_in_frame(body, prepared, body.stature)[0].pose
 
 
 def returned(
@@ -492,7 +492,7 @@ def returned(
             continue
         seen = p.last_seen
         if seen is not None:
-            reach = SETTINGS.newcomer_reach + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
+            reach = SETTINGS.people_near_m + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:
                 continue
         with contextlib.suppress(EvidenceError):
@@ -506,7 +506,7 @@ def returned(
     if best is None:
         return None
     higher = person.hull.height - best[1].subject.body.stature
-    return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
+    return (best[1], best[2]) if SETTINGS.newcomer_higher_m[0] < higher < SETTINGS.newcomer_higher_m[1] else None
 
 
 def identity_switches(
@@ -524,10 +524,10 @@ def identity_switches(
         if not q.member.sure:
             continue
         at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(SETTINGS.newcomer_drawn_s * frame_rate)) :]])
-        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.newcomer_reach / 2)
+        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.people_near_m / 2)
         frames = len(at) - 1 - near[-1] if len(near) else 0
         if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(
-            SETTINGS.newcomer_reach, SETTINGS.newcomer_walking * frames / frame_rate
+            SETTINGS.people_near_m, SETTINGS.newcomer_walking * frames / frame_rate
         ):
             return q, len(q.estimates) - int(frames)
     return None

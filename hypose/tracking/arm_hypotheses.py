@@ -16,20 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import reach
-from hypose.compute.threads import in_background, over_chunks
+from hypose.compute.threads import in_background, in_threads
 from hypose.evidence.cues import PoseMemory
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
+from hypose.inference.resampling import distinct
 from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
 from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, limb_energy
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
-_SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
-"""Keys in a frame's `shared`: of what was started in the background while other layers run, and of the last frame's
-hypotheses."""
+_SOLVE, _LOOK = "rivals solved", "arms looked up"
+"""Keys in a frame's `shared` of what was started in the background while other layers run."""
 
 SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
 """Roles that name the origin of a hypothesis."""
@@ -108,7 +108,8 @@ class RefineRivals:
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Compute the hypotheses that are kept, best first."""
         s, c = frame.body.skeleton, self.contest
-        winner, alive, last = member(h, SOLVED), *_best_first(frame)
+        winner, alive = member(h, SOLVED), _best_first(frame)
+        last = alive.columns[BEFORE]
         if not frame.silhouettes.seen:  # without masks hypotheses cannot be compared
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
@@ -145,7 +146,7 @@ class RefineRivals:
         frame: prepared frame; its `shared` gets the running solves, one per rival.
         """
         if frame.silhouettes.seen and frame.rivals is not None:
-            for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
+            for q in frame.body.skeleton.on_branch(_best_first(frame).values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
@@ -155,7 +156,7 @@ class RefineRivals:
             gets the running search.
         """
         if frame.silhouettes.seen and frame.rivals is not None:
-            old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
+            old = frame.body.skeleton.on_branch(_best_first(frame).values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
 
     def _look(
@@ -249,8 +250,6 @@ class RefineRivals:
 
         winner: (D,); old: (K, D) rivals, predicted into this frame.
         """
-        if not len(old):
-            return np.zeros((0, len(self.arms)), np.bool_)
         at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
         return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
@@ -263,16 +262,9 @@ class RefineRivals:
         near = self.with_depth if frame.depth.seen else self.near
         tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
-        solved: dict[int, PoseFit] = {}
-
-        def work(first: int, last: int) -> None:
-            for n in range(first, last):
-                solved[n] = tasks[n]()[0]
-
-        over_chunks(work, len(tasks), None)
-        in_order = [solved[n] for n in range(len(tasks))]
-        keep_fits(frame, in_order)
-        return [fit.pose for fit in in_order]
+        fits = in_threads(lambda task: task()[0], tasks)
+        keep_fits(frame, fits)
+        return [fit.pose for fit in fits]
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
         """Solve a rival from its predicted pose (D,).
@@ -287,14 +279,31 @@ class RefineRivals:
 
         scores: (N,) low is good; costs: (N,) mismatches; at: (N, E, 3) ends of the arms, m. Returns: indices.
         """
-        kept: list[int] = []
-        for n in np.argsort(scores, kind="stable"):
-            alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
-            if alone and scores[n] - scores[[*kept, n][0]] <= self.contest.behind * costs[n]:
-                kept.append(int(n))
-            if len(kept) == (min(self.keep, DEPTH_KEEPS) if frame.depth.seen else self.keep):
-                break
-        return kept
+        order = np.argsort(scores, kind="stable")
+        near = order[scores[order] - scores[order[0]] <= self.contest.behind * costs[order]]
+        count = min(self.keep, DEPTH_KEEPS) if frame.depth.seen else self.keep
+        return near[distinct(at[near], count, self.contest.apart)].tolist()
+
+
+@dataclass(frozen=True)
+class SolvePrediction:
+    """Search kernel that solves a pose from the prediction and sets all hypotheses to the solution, as the start of
+    a search of single limbs.
+
+    One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
+    rivals: kernel of a later layer, of which parts run in parallel with this one and the next ones.
+    """
+
+    options: SolveSettings
+    rivals: RefineRivals
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """Return the set with all hypotheses at the solved pose."""
+        self.rivals.before_solve(frame)
+        pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
+        moved = h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [min(1, h.count - 1)])
+        self.rivals.before_search(moved, frame)
+        return moved
 
 
 def rival_arms(
@@ -325,13 +334,9 @@ def rival_arms(
     poses = np.repeat(pose[None], len(good) + 1, 0)
     poses[1:, arm.own] = arm.poses[good]  # the first one stays unchanged
     energy = limb_energy(poses, frame, arm.moving, rest, look.ratio, standing)
-    at, chosen = arm.ends[good], list[int]()
-    for n in np.argsort(energy[1:], kind="stable"):
-        if energy[1 + n] > look.ratio * energy[0] or len(chosen) == look.most:
-            break
-        if all(_farthest(at[n, None], at[k]) > look.far for k in chosen):
-            chosen.append(int(n))
-    return [poses[1 + n] for n in chosen]
+    order = np.argsort(energy[1:], kind="stable")
+    order = order[energy[1 + order] <= look.ratio * energy[0]]
+    return [poses[1 + n] for n in order[distinct(arm.ends[good][order], look.most, look.far)]]
 
 
 def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
@@ -356,18 +361,13 @@ def _farthest(ends: Array, other: Array) -> Array:
     return np.sqrt((d[..., 0] + d[..., 1] + d[..., 2]).max(-1))
 
 
-def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
-    """Return the hypotheses of the last frame, best first and predicted into this frame, and their last poses (N, D).
+def _best_first(frame: PreparedFrame) -> Hypotheses:
+    """Return the hypotheses of the last frame, best first and predicted into this frame.
 
-    frame: prepared, with `rivals`.
-    Returns: the hypotheses, whose values are the predicted poses; (N, D) poses in the last frame.
+    frame: prepared, with `rivals`, whose column `before` has their last poses.
     """
     assert frame.rivals is not None, "the recipe does not say how many rivals"
-    of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
-    if of is not frame.rivals:
-        h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
-        frame.shared[_ORDERED] = frame.rivals, h
-    return h, h.columns[BEFORE]
+    return frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
 
 
 def _roles(h: Hypotheses) -> Hypotheses:

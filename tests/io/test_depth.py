@@ -13,7 +13,7 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.sensors.depth import _numbers, azure_camera, open_depth, open_realsense, read_realsense, write_depth_png
 from tests import missing
 

@@ -12,7 +12,7 @@ from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.scenes import camera_rig
-from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.arm_workspace import ArmReach, in_practice
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.part_colours import (
     COUNTS,
@@ -85,7 +85,7 @@ def seen(body, pose, memory, painted):
 
 @pytest.fixture(scope="module")
 def left_arm(body):
-    return arm_reach(body, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(body.skeleton), count=8)
+    return ArmReach(body, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(body.skeleton), count=8)
 
 
 @pytest.mark.parametrize("by", [-0.35, -0.25])

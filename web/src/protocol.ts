@@ -17,7 +17,7 @@ export interface SessionEntry { id: Id; name: string; path: string; gesture: str
 /** A recording of live sensors; result: what it was fused to. */
 export interface SkeletonsEntry { id: Id; name: string; path: string; result: Id | null }
 export interface ModelEntry {
-  id: Id; name: string; path: string; gestures: string[]; growing: boolean; thresholds: (number | null)[];
+  id: Id; name: string; path: string; gesture: string; threshold: number | null;
 }
 export interface SourceEntry { value: string; title: string; gestures?: string[]; missing?: string }
 

@@ -484,7 +484,7 @@ def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | 
             path = motion.joints[:, skeleton.joint(name)]
             axes.line(path[:, 0], path[:, 1], colour, name.replace("_", " "), width)
     if truth is not None:
-        axes.line(truth.pelvis[:, 0], truth.pelvis[:, 1], _LOST, "true pelvis", 1.0, "4 3")
+        axes.line(truth.joints[:, 0, 0], truth.joints[:, 0, 1], _LOST, "true pelvis", 1.0, "4 3")
     axes.dots(motion.joints[:1, 0, 0], motion.joints[:1, 0, 1], INK)
     for camera in rig:
         way = np.array([camera.position[:2], camera.position[:2] + 0.5 * camera.camera_from_world[2, :2]])

@@ -19,6 +19,7 @@ from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item, Kind
 from hypose.errors import HyposeError, InputError
+from hypose.io.file_names import free_path
 from hypose.io.files import read_json, read_toml
 from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
@@ -152,7 +153,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
     arguments = () if kind in _OWN else _arguments(kind, given)
     if kind == "demo":
-        out = free_folder(catalog.root, "demo")
+        out = free_path(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
         return Plan(("demo", "--out", str(out), *arguments), title, catalog.id_of("recording", out), result)
     of = _OF.get(kind, "recording")
@@ -182,7 +183,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     elif kind == "in_step":
         if "offsets" not in given:
             raise InputError("Say by how many frames each view is late.")
-        out = _inside(catalog, item, free_folder(item.path.parent, f"{name}-in-step"))
+        out = _inside(catalog, item, free_path(item.path.parent, f"{name}-in-step"))
         command, makes = ("sync", path, *arguments, "--out", str(out)), catalog.id_of("recording", out)
     return Plan(command, title.format(name), item.id, resumable=kind == "keypoints", makes=makes)
 
@@ -317,7 +318,7 @@ def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -
     name = given.get("name") or given.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
-    out = _inside(catalog, item, free_folder(item.path / "results", name))
+    out = _inside(catalog, item, free_path(item.path / "results", name))
     paths = ["--out", str(out)]
     if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
         paths += ["--start", str(_clicked(item.path, start))]
@@ -341,7 +342,7 @@ def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
         raise InputError("Say which clicks the result is to be tracked again from.")
     clicks = _clicked(folder, start)
     original = re.sub(r"-corrected(-\d+)?$", "", item.path.name)
-    out = free_folder(item.path.parent, f"{original}-corrected")
+    out = free_path(item.path.parent, f"{original}-corrected")
     title = _KINDS["correct"][0].format(item.path.name, read_correction(clicks).frame)
     command = ("correct", str(item.path), str(clicks), *_arguments("correct", given), "--out", str(out))
     return Plan(command, title, catalog.id_of("recording", folder), catalog.id_of("result", out))
@@ -364,13 +365,3 @@ def _clicked(folder: Path, start: str) -> Path:
 def is_name(text: str) -> bool:
     """Return whether a text is a safe name of a folder or file on any system."""
     return re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,78}[A-Za-z0-9_-])?", text) is not None
-
-
-def free_folder(parent: Path, name: str) -> Path:
-    """Return parent/name, or the first free numbered name: walk, walk-2, walk-3."""
-    numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
-    stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
-    path = parent / name
-    while path.exists():
-        path, number = parent / f"{stem}-{number}", number + 1
-    return path

@@ -175,8 +175,8 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
-        truth = {"truth_joints": result.truth.joints, "truth_distances": result.truth.distances}
-        out |= {name: values.astype("<f4") for name, values in truth.items() if values is not None}
+        out["truth_joints"] = result.truth.joints.astype("<f4")
+        out["truth_distances"] = result.truth.distances.astype("<f4")
     return out
 
 
@@ -271,7 +271,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "truth": truth
         and {
             "names": list(truth.names),
-            "parents": list(truth.parents),
+            "parents": s.parents,
             "mean_mm": truth.mean_mm,
             "note": truth.note,
         },

@@ -199,10 +199,8 @@ def on_one_clock(
     notes: list to which sentences about irregular videos are added.
     Returns: the views with `rate` set where needed, and the frame rate; n_frames of the files of such views are set to
         the number of frames that are read.
-    Raises: InputError where no frame rate is known or it is implausible.
+    Raises: InputError where no frame rate is known.
     """
-    if given is not None and not 0.1 <= given <= 10_000:
-        raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
     times = [frame_times(v.files["video"]) if "video" in v.files else None for v in views]
     rates = [
         c.frame_rate if t is None else 1 / _step(t)

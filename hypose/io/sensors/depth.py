@@ -9,7 +9,6 @@ import contextlib
 import importlib
 import itertools
 import os
-import struct
 import time
 import zipfile
 import zlib
@@ -29,7 +28,7 @@ from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, is_cut_png, list_images, sequence_numbers
+from hypose.io.videos.video import VideoReader, decode, list_images, png_header, sequence_numbers
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -63,16 +62,13 @@ def read_depth_png(path: str | Path) -> DepthMap:
     Raises: InputError where the file is not such a PNG, too large or damaged.
     """
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
-    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
-        raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
+    width, height, *kind = png_header(data)
+    if kind != [16, 0] or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
         raise InputError(
-            f"{path} is a PNG of {width} x {height} with {bits} bits, colour type {colour}; depth maps are grey, 16 "
-            f"bit and at most {MAX_SIDE} x {MAX_SIDE}."
+            f"{path} is not a grey 16-bit PNG of at most {MAX_SIDE} x {MAX_SIDE} px; depth maps are such PNG, in "
+            "millimetres."
         )
-    cut = is_cut_png(data)
-    image = None if cut else cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    image = decode(data)
     if image is None or image.dtype != np.uint16 or image.shape != (height, width):
         raise InputError(f"{path} is a damaged PNG; write it again.")
     return np.where(image < _NOT_MEASURED, image, 0).astype(np.float32) / np.float32(1000)

@@ -2,7 +2,8 @@
 
 The number of frames in a container is often wrong (capture software that adds two, files cut off during copying). So it
 is checked by decoding the last frame, and counted when that fails. Seeking with cv2.CAP_PROP_POS_FRAMES is not exact
-for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact.
+for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact. A
+reader for a user who drags along a timeline seeks (`VideoReader.jumps`) where that was found to be exact in the video.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import subprocess
 import wave
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -50,6 +51,8 @@ _CODECS = {
 }
 # A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
+_DECODED_AHEAD, _TRIAL = 24, 10
+"""Frames ahead that are faster decoded than reached by seeking, and the frame on which seeking is tested."""
 # Codecs whose stored packets are one frame each, so that counting packets counts frames.
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
 
@@ -73,49 +76,51 @@ def read_image_file(path: Path) -> bytes:
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
-def is_cut_png(data: bytes) -> bool:
-    """Test whether data are a PNG that is cut off, with chunks longer than the data.
+def png_header(data: bytes) -> tuple[int, int, int, int]:
+    """Read width, height, bits per value and colour type (0 grey, 3 palette) of a PNG; zeros for other data."""
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+        return 0, 0, 0, 0
+    return struct.unpack(">IIBB", data[16:26])
 
-    Why: OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a damaged file of a kilobyte.
-    """
-    if not data.startswith(PNG_SIGNATURE):
-        return False
-    at, kind = len(PNG_SIGNATURE), b""
+
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Split a PNG into chunks: the kind and the whole of each, up to the last that the data hold completely."""
+    at = len(PNG_SIGNATURE)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
-        at += 12 + length
-        if kind == b"IEND":
-            break
-    return at > len(data) or kind != b"IEND"
+        begin, at = at, at + 12 + length
+        if at <= len(data):
+            yield kind, data[begin:at]
+
+
+def decode(data: bytes, how: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] | None:
+    """Decode an image; None where it is no image, or damaged.
+
+    how: OpenCV's flag for the conversion of colours.
+    Why: of a PNG that is cut off, OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a
+        damaged file of a kilobyte.
+    """
+    if data.startswith(PNG_SIGNATURE) and b"IEND" not in dict(png_chunks(data)):
+        return None
+    with quiet(), contextlib.suppress(cv2.error):
+        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), how)
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as (h, w, 3) uint8 BGR.
+    """Read an image file as (h, w, 3) uint8 BGR. A grey one of 16 bits counts as a depth map: near is bright, holes are
+    black.
 
     Raises: InputError where the file does not exist or is damaged.
     """
-    path = Path(path)
-    data = read_image_file(path)
-    with quiet():
-        try:
-            image = None if is_cut_png(data) else _in_colours(np.frombuffer(data, dtype=np.uint8))
-        except cv2.error:
-            image = None
+    data = read_image_file(Path(path))
+    depth = png_header(data)[2:] == (16, 0)
+    image = decode(data, cv2.IMREAD_UNCHANGED if depth else cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(f"{path} is not an image or is damaged; replace it with a PNG or JPEG file.")
+    if depth:
+        shade = np.where(image > 0, np.clip(255 - image.astype(np.float32) * (200 / 6000), 40, 255), 0)
+        image = np.repeat(shade.astype(np.uint8).reshape(*image.shape[:2], -1)[..., :1], 3, 2)
     return np.asarray(image, dtype=np.uint8)
-
-
-def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """Decode an image in colours. A grey one of 16 bits counts as a depth map: near is bright, holes are black."""
-    # the header of a 16-bit PNG says so; everything else is decoded as it is
-    if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
-        return cv2.imdecode(data, cv2.IMREAD_COLOR)
-    levels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.ndim != 2:
-        return None
-    shade = np.where(levels > 0, np.clip(255 - levels.astype(np.float32) * (200 / 6000), 40, 255), 0)
-    return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -174,6 +179,7 @@ class VideoReader:
     n_frames: number of frames that can be decoded.
     stated_frames: number of frames that the container states.
     position: index of the frame that comes next.
+    jumps: frames far away are reached by seeking, where that is exact in this video; False after opening.
     is_sequence: whether the frames are image files.
     """
 
@@ -182,7 +188,7 @@ class VideoReader:
         self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
-        self.position, self._decoded = 0, 0
+        self.position, self._decoded, self.jumps = 0, 0, False
         self._memory: Image | None = None  # of the last frame
         self.is_sequence = self._images is not None
         self.size, self.frame_rate, self.stated_frames, self.n_frames = _about(path)
@@ -216,9 +222,11 @@ class VideoReader:
         """
         if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
             return
-        if number < self._decoded:
+        if self.jumps and not 0 <= number - self._decoded <= _DECODED_AHEAD and self._seeks_exactly:
+            self._opened().set(cv2.CAP_PROP_POS_FRAMES, number)
+            self._decoded, self._memory = number, None
+        elif number < self._decoded:
             self.close()
-            self._capture, self._decoded = None, 0
         while self._decoded < number:
             if not self._opened().grab():
                 raise self._broken()
@@ -240,15 +248,29 @@ class VideoReader:
         return self._advance(out)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; it is opened again, and decoded from its start, where a frame is read later."""
         if self._capture is not None:
             self._capture.release()
+        self._capture, self._decoded = None, 0
 
     def __enter__(self) -> VideoReader:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @cached_property
+    def _seeks_exactly(self) -> bool:
+        """Whether seeking to frame _TRIAL gives the frame that decoding gives."""
+        if count_frames(self.path) <= _TRIAL + 1:
+            return False
+        with _capturing(self.path) as forward, _capturing(self.path) as jumping:
+            for _ in range(_TRIAL):
+                forward.grab()
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, count_frames(self.path) - 1)  # first seek to another frame
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, _TRIAL)
+            (_, true), (ok, found) = forward.read(), jumping.read()
+            return ok and np.array_equal(found, true)
 
     def _opened(self) -> cv2.VideoCapture:
         if self._capture is None:
@@ -270,7 +292,10 @@ class VideoReader:
             if number == self._decoded:
                 ok, frame = self._opened().read(out)
                 if not ok:
-                    raise self._broken()
+                    error = self._broken()
+                    if self.jumps:  # where the file stands now is not known
+                        self.close()
+                    raise error
                 self._memory = np.asarray(frame, dtype=np.uint8)
                 self._decoded += 1
             assert self._memory is not None

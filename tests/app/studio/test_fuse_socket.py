@@ -51,7 +51,6 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
         {"osc": 3},
         {"osc": "127.0.0.1:0"},
         {"osc": [], "record": True},
-        {"rate": 0},
         {"udp": 70000},
     ],
 )

@@ -1,6 +1,7 @@
 """Recordings over the wire: facts, pictures, masks tried out and kept, clicked joints."""
 
 import json
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -40,7 +41,7 @@ def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
     plain = image(studio, f"{base}/4.jpg?width=120")
     assert plain.shape == (90, 120, 3)
     usual = image(studio, f"{base}/4.jpg?mask=only") > 127
-    timid = image(studio, f"{base}/4.jpg?mask=only&threshold=40&min_sd=30") > 127
+    timid = image(studio, f"{base}/4.jpg?mask=only&settings=" + quote('{"threshold": 40, "min_sd": 30}')) > 127
     assert 0.01 < usual.mean() < 0.3 and timid.mean() < 0.8 * usual.mean()
     assert not np.array_equal(image(studio, f"{base}/4.jpg?mask=edge"), image(studio, f"{base}/4.jpg?mask=fill"))
     # frames in any order are the same frames

@@ -6,7 +6,7 @@ import { h, memory, setText } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
 import { play, setMuted } from "../ui/sounds";
 import { onTheme } from "../ui/theme";
-import { signature, type Live } from "./live";
+import { signature, sourceTitle, type Live } from "./live";
 import { Classes } from "./classes";
 import { Numbers } from "./numbers";
 import { Prompt } from "./prompt";
@@ -248,7 +248,7 @@ export class Trainer {
       h(
         "aside",
         { class: "gesture-side" },
-        h("div", { class: "side-head" }, h("h1", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session?.title ?? ""), this.saved),
+        h("div", { class: "side-head" }, h("h1", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session ? sourceTitle(this.live.session) : ""), this.saved),
         this.scores.element,
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }), this.sliderValue, this.automatic),

@@ -8,7 +8,7 @@ import { h, memory, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { kinds } from "./form";
-import type { CameraSensor, CamerasMessage, CamerasRunning } from "./messages";
+import type { CamerasMessage, CamerasRunning, CameraStatus } from "./messages";
 import { People } from "./people";
 
 const TELL_MS = 250;
@@ -150,18 +150,19 @@ export function camerasLive(root: HTMLElement): Screen {
 
   const showStatus = (message: CamerasMessage & { t: "status" }): void => {
     counters["phase"] = message.phase;
-    const blind = message.sensors.length > 0 && !message.sensors.some((s) => s.alive);
+    const blind = message.cameras.length > 0 && message.cameras.every((c) => c.trouble);
     const phase = blind ? "No camera shows anything" : (PHASES[message.phase] ?? message.phase);
     setText(state, `${phase}${!blind && message.phase === "following" && !message.fitted ? "; the body is being measured" : ""}.`);
     // what is told each second is read out only when it is something else
     if (message.words.join("\n") !== [...words.children].map((li) => li.textContent).join("\n")) words.replaceChildren(...message.words.map((text) => h("li", {}, text)));
-    rows.replaceChildren(...message.sensors.map(cameraRow));
-    for (const { name, alive } of message.sensors) {
+    rows.replaceChildren(...message.cameras.map(cameraRow));
+    for (const { name, trouble } of message.cameras) {
       const shown = pictures.get(name);
-      shown?.box.toggleAttribute("data-gone", !alive);
-      if (shown) setText(shown.name, alive ? name : `${name}: no picture now`);
+      shown?.box.toggleAttribute("data-gone", trouble !== "");
+      if (shown) setText(shown.name, trouble ? `${name}: no picture now` : name);
     }
-    people?.stand(message.sensors);
+    const places = running ? running.places : [];
+    people?.stand(message.cameras.map((c, k) => ({ ...c, alive: !c.trouble, registered: true, residual: null, place: places[k] ?? null })));
     said.rate.textContent = message.per_second.toFixed(0);
     said.skipped.textContent = (100 * message.skipped).toFixed(0);
     const spent = Object.entries(message.stages_ms).filter(([, ms]) => ms !== null);
@@ -177,13 +178,14 @@ export function camerasLive(root: HTMLElement): Screen {
       people ??= new People(message.joints, message.parents, space);
       showRunning(message.running);
     } else if (message.t === "frame") {
-      counters["poses"] = message.n;
-      const seen = message.people.filter((p) => p.seen);
+      const [first] = message.people;
+      counters["poses"] = first!.n;
+      const seen = message.people.filter((p) => !p.lost).map((p) => ({ ...p, seen: true, sensors: p.cameras }));
       people?.show(seen);
       if (seen.length) setText(noPerson, "");
       if (performance.now() - told < TELL_MS) return;
       told = performance.now();
-      said.latency.textContent = message.latency_ms.toFixed(0);
+      said.latency.textContent = first!.latency_ms.toFixed(0);
     } else if (message.t === "status") showStatus(message);
     else if (message.t === "pictures") {
       for (const { name, jpeg } of message.cameras) {
@@ -227,11 +229,11 @@ function startedText({ played, ws, osc, vmc, record }: CamerasRunning): string {
   return [played ? "The recording's videos are played." : "The cameras are open.", `Poses: ws://127.0.0.1:${ws}/out.`, ...more].filter(Boolean).join(" ");
 }
 
-function cameraRow(c: CameraSensor): HTMLElement {
+function cameraRow(c: CameraStatus): HTMLElement {
   return h(
     "tr",
     {},
-    h("td", {}, h("span", { class: `chip ${c.alive ? "good" : "bad"}` }, c.alive ? "there" : "missing"), " ", c.name),
+    h("td", {}, h("span", { class: `chip ${c.trouble ? "bad" : "good"}` }, c.trouble ? "missing" : "there"), " ", c.name),
     h("td", { class: "number" }, `${c.rate.toFixed(0)} Hz`),
     h("td", { class: "number" }, String(c.lost)),
   );
