@@ -60,11 +60,6 @@ class Layer:
     needed: Callable[[Hypotheses, Any], bool] | None = None
 
 
-def as_given(pose: FloatArray, frame: Any, /) -> FloatArray:
-    """Start the first frame at the pose that the caller gives (default of `Recipe.start`)."""
-    return pose
-
-
 def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
     """Predict no motion: the next pose is the last one (default of `Recipe.predict`).
 
@@ -110,7 +105,7 @@ class Recipe:
     layers: turns of propagate, weigh, resample, one after the other.
     particles: number of hypotheses N.
     needs: kinds of evidence that the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).
-    start(pose, frame): pose (D,) at which the search of the first frame begins, from the given one.
+    start(pose, frame): pose (D,) at which the search of the first frame begins, from the given one (default: that).
     predict(step, blind): step (D,) expected after the last step and `blind` frames without evidence; None: the layers
         move every hypothesis themselves and apply its limits.
     estimate(h): state (*B, D) of a weighted set.
@@ -131,7 +126,7 @@ class Recipe:
     layers: Sequence[Layer]
     particles: int = 500
     needs: tuple[str, ...] = ()
-    start: Callable[[FloatArray, Any], FloatArray] = as_given
+    start: Callable[[FloatArray, Any], FloatArray] = lambda pose, frame: pose
     predict: Callable[[FloatArray, int], FloatArray] | None = stand_still
     estimate: Estimate = Hypotheses.mean
     uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None

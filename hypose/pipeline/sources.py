@@ -23,7 +23,7 @@ from hypose.pipeline.settings import SETTINGS
 if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.view_source import ViewSource
+    from hypose.io.recordings.recording_views import ViewSource
     from hypose.pipeline.subject import TrackedSubject
 
 
@@ -49,7 +49,7 @@ FrameRange = Callable[[range], Iterable[Frame]]
 """Function that reads the frames with the given numbers, one after the other."""
 
 
-def frames_backwards(frames: FrameRange, stop: int, block: int) -> Iterator[Frame]:
+def frames_backwards(frames: FrameRange, stop: int, block: int = SETTINGS.sides_block) -> Iterator[Frame]:
     """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
     backwards.
     """

@@ -75,21 +75,20 @@ def test_every_part_has_an_example():
     assert discovered(annealing, ("h", "frame")) == {"SmoothedWeight"}
 
 
-def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = False) -> Hypotheses:
+def population(shape: tuple[int, ...], lost: bool = False) -> Hypotheses:
     rng = np.random.default_rng(7)
     values = np.clip(rng.normal(size=(*shape, D)), LOWER, UPPER)
     log_weights = np.full(shape, -np.inf) if lost else rng.normal(size=shape) * 3 - 1000
-    spread = np.broadcast_to(np.eye(D), (*shape, D, D)) * rng.random((*shape, 1, 1)) if covariance else None
     columns = {"velocity": rng.normal(size=values.shape), "cost": rng.random(shape)}
     origin, role = rng.integers(0, 3, shape), rng.integers(0, 2, shape)
-    return Hypotheses(values, log_weights, origin, role, ("start",), spread, columns)
+    return Hypotheses(values, log_weights, origin, role, ("start",), columns)
 
 
 POPULATIONS = {
     "plain": population((60,)),
     "single": population((1,)),
     "batch": population((3, 20)),
-    "batch2": population((2, 1, 20), covariance=True),
+    "batch2": population((2, 1, 20)),
     "lost": population((25,), lost=True),
 }
 
@@ -106,7 +105,6 @@ def well_formed(h: Hypotheses, like: Hypotheses) -> None:
     weights = h.weights
     assert np.isfinite(weights).all() and (weights >= 0).all()
     np.testing.assert_allclose(weights.sum(-1), 1, rtol=1e-12)
-    assert (h.covariance is None) == (like.covariance is None)
 
 
 @pytest.mark.filterwarnings("error")

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hypose.errors import InputError
-from hypose.io.file_names import text_of
-from hypose.io.files import open_file
+from hypose.io.files import open_file, text_of
 from hypose.io.motions.results import open_archive
 from hypose.io.recordings import pose2sim
 

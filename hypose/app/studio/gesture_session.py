@@ -44,8 +44,7 @@ from hypose.gestures.events import (
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
-from hypose.io.file_names import free_path
-from hypose.io.files import read_json
+from hypose.io.files import free_path, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
 from hypose.synthetic.gesture_people import GESTURES, load_people
 

@@ -19,8 +19,7 @@ from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item, Kind, changed
 from hypose.errors import HyposeError, InputError
-from hypose.io.file_names import free_path
-from hypose.io.files import read_json, read_toml
+from hypose.io.files import free_path, read_json, read_toml
 from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
 

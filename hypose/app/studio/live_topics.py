@@ -28,8 +28,8 @@ from hypose.app.studio.http import Message, NotNow, Topic, request_number, text,
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.io.file_names import free_path, natural_key
-from hypose.io.videos.camera_sources import is_device
+from hypose.io.files import free_path, natural_key
+from hypose.io.videos.video import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions

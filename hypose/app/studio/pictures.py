@@ -18,7 +18,7 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.view_source import Preparer
+from hypose.io.recordings.recording_views import Preparer
 
 
 class OpenRecording:

@@ -36,8 +36,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import read_text, read_toml, toml_lines, write_text
+from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
     Recording,
