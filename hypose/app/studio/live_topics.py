@@ -159,7 +159,7 @@ class FuseTopic(LiveTopic):
         server.listeners.append(self._tell)
         if seen is not None:
             sending = asyncio.ensure_future(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
-            parts.push_async_callback(_cancel, sending)
+            parts.callback(sending.cancel)
         running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
         return running | {"record": _reported(record)}
 
@@ -177,12 +177,6 @@ class FuseTopic(LiveTopic):
 def _as_topic(line: str) -> str:
     """Return a line of JSON of the live outputs as a message to pages."""
     return line.replace('"type":', '"t":', 1)
-
-
-async def _cancel(task: asyncio.Task[None]) -> None:
-    """Cancel a task and wait for its end."""
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
 
 
 class CameraTopic(LiveTopic):

@@ -228,8 +228,8 @@ def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _header(result: ViewResult) -> dict[str, Any]:
-    m, s = result.motion, result.motion.skeleton
-    truth = result.truth
+    m, s, truth, recording = result.motion, result.motion.skeleton, result.truth, result.recording
+    seen = () if recording is None else zip(recording.views, recording.rig, strict=True)
     return {
         "version": __version__,
         "title": result.title,
@@ -244,7 +244,19 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "floor": _floor(m),
         "formats": list(MOTION_FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
-        "cameras": _cameras(result),
+        "cameras": [
+            {
+                "name": c.name,
+                "K": c.K,
+                "distortion": c.distortion,
+                "fisheye": c.fisheye,
+                "camera_from_world": c.camera_from_world,
+                "size": list(c.size),
+                "image_shift": list(v.image_shift),
+                "pictures": v.has_pictures,
+            }
+            for v, c in seen
+        ],
         "subject": subject_rows(result.body) if result.body is not None else [],
         "files": [{"name": n, "what": w, "bytes": b} for n, w, b in result.files],
         "notes": list(result.notes),
@@ -260,25 +272,6 @@ def _header(result: ViewResult) -> dict[str, Any]:
         },
         "provenance": dict(m.provenance),
     }
-
-
-def _cameras(result: ViewResult) -> list[dict[str, Any]]:
-    """Describe the cameras for the header; empty where they are not known."""
-    if result.recording is None:
-        return []
-    return [
-        {
-            "name": c.name,
-            "K": c.K,
-            "distortion": c.distortion,
-            "fisheye": c.fisheye,
-            "camera_from_world": c.camera_from_world,
-            "size": list(c.size),
-            "image_shift": list(v.image_shift),
-            "pictures": v.has_pictures,
-        }
-        for v, c in zip(result.recording.views, result.recording.rig, strict=True)
-    ]
 
 
 def _floor(motion: Motion) -> float:
