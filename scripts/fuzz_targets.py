@@ -208,7 +208,7 @@ def write_good(folder: Path) -> None:
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
-    from hypose.io.calibrations.calibration_text import write_calibration
+    from hypose.io.calibrations.calibration_formats import write_calibration
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import Checkpoint, save_body, save_motion
     from hypose.io.sensors.depth import write_depth_png

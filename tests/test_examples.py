@@ -16,7 +16,7 @@ from benchmarks.bench_list import find_benchmark
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import read_table
 from hypose.app.cli import app
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.sensors.skeleton_streams import format_line
 from scripts import docs
 from scripts.commands_page import commands_page

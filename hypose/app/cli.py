@@ -185,6 +185,8 @@ def _parameter(d: Declared) -> click.Parameter:
     if d.option.choices and d.option.value:
         about["help"] += f" One of {', '.join(d.option.choices)}."
     if d.option.argument:
+        if d.name == "recording":
+            about |= {"callback": _keep_options, "is_eager": True}
         return click.Argument([d.name], nargs=-1 if d.many else 1, required=required, **about)
     flags = d.flag
     if d.kind is bool:
@@ -198,6 +200,13 @@ def _parameter(d: Declared) -> click.Parameter:
     out = click.Option([flags, d.name], callback=lambda ctx, param, value: d.check(value), **about)
     out.group = d.option.group  # pyright: ignore[reportAttributeAccessIssue] (for the help)
     return out
+
+
+def _keep_options(ctx: click.Context, param: click.Parameter, recording: Path) -> Path:
+    """Take the defaults of `hypose track` from the recording, before its other options are read."""
+    if ctx.command.name == "track":
+        ctx.default_map = options.recorded_options(recording)
+    return recording
 
 
 def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:

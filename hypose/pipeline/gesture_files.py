@@ -28,7 +28,7 @@ from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Example
 from hypose.io.files import RecordingFolder, numbers_of, read_bytes, read_json, text_lines, write_text
-from hypose.io.motions.results import load_archive, to_json, write_archive
+from hypose.io.motions.results import Archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.settings import SETTINGS
@@ -48,14 +48,8 @@ def load_model(path: str | Path) -> GestureModel:
 
     Raises: InputError names the cause.
     """
-    path = Path(path)
-    step = "give a model that `hypose gesture train` wrote"
-    arrays = load_archive(path, "gesture model", step)
-    try:
-        return model_arrays.from_arrays(arrays)
-    except (ValueError, InputError) as error:
-        reason = str(error).rstrip(".")
-        raise InputError(f"{path} is not a gesture model of hypose, or is damaged: {reason}; {step}.") from None
+    kind = Archive("gesture model", "give a model that `hypose gesture train` wrote")
+    return kind.load(Path(path), model_arrays.from_arrays)
 
 
 def content_of(folder: Path) -> str:

@@ -19,8 +19,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import TrackCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.io.file_names import natural_key
-from hypose.io.files import claimed, toml_lines, write_text
+from hypose.io.files import claimed, natural_key, toml_lines, write_text
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
@@ -259,7 +258,7 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     from hypose.app.jobs.job import job_of, track_shown
-    from hypose.pipeline.comparison import compare_with
+    from hypose.pipeline.comparison import compare_with_truth
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
 
@@ -269,7 +268,12 @@ def demo(
     with claimed(out), Stages() as progress:
         write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
-    track_shown(replace(job_of(TrackCommand(recording=out, threads=threads)), truth=compare_with(out / "truth.npz")))
+    track_shown(
+        replace(
+            job_of(TrackCommand(recording=out, threads=threads)),
+            truth=lambda motion: compare_with_truth(out / "truth.npz", motion),
+        )
+    )
 
 
 def correct(

@@ -248,5 +248,5 @@ def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: 
     """
     if options.looks_at == "silhouettes":
         return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
-    wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
+    wanted = SubjectOptions("keypoints", girths=False, body=body, frame_rate=part.frame_rate, seed=options.seed)
     return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))
