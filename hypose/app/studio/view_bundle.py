@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,10 +27,10 @@ from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError, visible
+from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import MOTION_FORMATS
-from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
+from hypose.io.motions.results import ResultsFolder, json_values, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
@@ -284,19 +283,6 @@ def _floor(motion: Motion) -> float:
     low = low[np.isfinite(low)]
     standing = float(np.percentile(low, 5)) - _ANKLE_M if len(low) else 0.0
     return 0.0 if abs(standing) < 0.25 else standing
-
-
-def json_values(value: Any) -> Any:
-    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_values(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {visible(str(k)): json_values(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_values(v) for v in value]
-    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 # ---- view result ---------------------------------------------------------------------------------------------------
