@@ -30,8 +30,7 @@ from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run
 from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, read_json, text_lines, write_text
+from hypose.io.files import check_writable, file_name, read_json, text_lines, write_text
 from hypose.io.motions.results import provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared

@@ -25,10 +25,10 @@ from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
-from hypose.io.file_names import file_name, text_of
+from hypose.io.files import file_name, text_of
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.moved_sensors import solve_places

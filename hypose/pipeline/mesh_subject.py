@@ -36,7 +36,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import DepthTerm, PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, rotation_between, so3_exp
-from hypose.io.file_names import text_of
+from hypose.io.files import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
 from hypose.pipeline.settings import SETTINGS

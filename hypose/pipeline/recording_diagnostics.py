@@ -15,7 +15,7 @@ from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile
-from hypose.calibration.refine_body import BodySettings, adjust_with_body
+from hypose.calibration.refine_body import adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
     adjust,
@@ -36,9 +36,8 @@ from hypose.evidence.keypoint_check import triangulated, undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameStream, load_keypoints, unreported
+from hypose.io.recordings.frames import FrameStream, RecordedPerson, load_keypoints, load_person, unreported
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.settings import SETTINGS
@@ -317,8 +316,7 @@ def _by_body(
     evidence = [[contour_term(silhouettes)] if silhouettes.usable.any() else [] for _, silhouettes in seen_at]
     small = stream.rig
     progress("refine", 0, 1)
-    settings = BodySettings(contour_weight=1.0, focal=focal)
-    found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
+    found = adjust_with_body(body, small, poses[kept], evidence, free, focal=focal)
     progress("refine", 1, 1)
     person = body.joints(found.poses).reshape(-1, 3)
     return _poses_into(recording.rig, found.rig), person, judged, notes

@@ -22,7 +22,7 @@ from hypose.pipeline.settings import SETTINGS
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.view_source import ViewSource
+    from hypose.io.recordings.recording_views import ViewSource
     from hypose.pipeline.subject import TrackedSubject
 
 

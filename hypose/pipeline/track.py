@@ -24,9 +24,8 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameStream, load_person
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import (
     later,
     other_people_note,

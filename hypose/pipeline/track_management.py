@@ -23,7 +23,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import TrackedPerson, shape_of
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
-from hypose.tracking.part_colours import appearance_in, no_appearance
+from hypose.tracking.part_colours import NO_CLOTHES, appearance_in, likeness
 from hypose.tracking.start_search import starts_in_frame
 from hypose.tracking.tracker import FrameEstimate
 
@@ -288,7 +288,7 @@ def update_appearance(
             if q.name not in w.met or _apart(p, q) <= _apart(p, q, w.met[q.name]):
                 w.met[q.name] = len(p.estimates) - 1
         if near:
-            w.lately, w.looks = no_appearance(), 0
+            w.lately, w.looks = NO_CLOTHES, 0
             continue
         w.lately, w.looks = w.lately + appearance_in(p.subject.body, p.estimates[-1].pose, frame), w.looks + 1
         if not w.met:
@@ -304,8 +304,8 @@ def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, Trac
             b = q.appearance
             if min(a.looks, b.looks) < SETTINGS.wardrobe_looks or not (q.name in a.met and p.name in b.met):
                 continue
-            own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
-            other = a.worn.likeness(b.lately) + b.worn.likeness(a.lately)
+            own = likeness(a.worn, a.lately) + likeness(b.worn, b.lately)
+            other = likeness(a.worn, b.lately) + likeness(b.worn, a.lately)
             if other > own + SETTINGS.wardrobe_clearly:  # False where one of them has not been seen (NaN)
                 out.append((p, q, min(a.met[q.name], b.met[p.name])))
                 a.lately, b.lately = b.lately, a.lately
@@ -487,7 +487,7 @@ def returned(
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
             known, seen_now = p.appearance, appearance_in(p.subject.body, pose, own)
-            like = (known.worn if known.met else known.worn + known.lately).likeness(seen_now)
+            like = likeness(known.worn if known.met else known.worn + known.lately, seen_now)
             like = like if np.isfinite(like) else 1.0  # the clothes of one of them are not known
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):

@@ -29,8 +29,8 @@ from hypose.evidence.one_person import without_held
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import check_toml, read_any, write_calibration
 from hypose.io.files import check_writable
+from hypose.io.recordings.frames import candidates_of
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import candidates_of
 from hypose.options import named_values
 from hypose.pipeline.recording_diagnostics import window
 

@@ -18,8 +18,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.io.file_names import natural_key
-from hypose.io.files import claimed, toml_lines, write_text
+from hypose.io.files import claimed, natural_key, toml_lines, write_text
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."

@@ -21,8 +21,7 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Image
 from hypose.io.calibrations.calibration_formats import write_calibration
-from hypose.io.file_names import free_path
-from hypose.io.files import check_writable, write_bytes, write_text
+from hypose.io.files import check_writable, free_path, write_bytes, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording

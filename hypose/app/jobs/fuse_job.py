@@ -31,13 +31,12 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
-from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import Fused, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.recordings.recording import load_recording
@@ -142,7 +141,6 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(seed=c.seed)
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     for n, whole in enumerate(people):
@@ -150,7 +148,7 @@ def run_fuse(
         span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
         clip = whole[span]
         watch = partial(lambda before, frames: progress("fuse", before + frames, total), n * len(times))
-        made = fuse_clip(clip, c.method, settings, registration, watch=watch)
+        made = fuse_clip(clip, c.method, registration, seed=c.seed, watch=watch)
         # instants at which no sensor saw the person have no measured time
         made = replace(made, motion=replace(made.motion, times=times[span]))
         if world is None:

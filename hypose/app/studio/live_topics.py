@@ -28,8 +28,8 @@ from hypose.app.studio.http import Message, NotNow, Topic, request_number, text,
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.io.file_names import free_path
-from hypose.io.videos.camera_sources import is_device
+from hypose.io.files import free_path, natural_key
+from hypose.io.videos.video import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions
@@ -197,6 +197,10 @@ class CameraTopic(LiveTopic):
         self._run: TrackingRun | None = None
         self._watching: asyncio.Task[None] | None = None
 
+    def hello(self) -> Message:
+        """Return the state, the joints, and the cameras of this computer."""
+        return {**super().hello(), "devices": list_devices()}
+
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start or stop the live run, or learn the empty room again ("room")."""
         if message["t"] != "room":
@@ -256,6 +260,16 @@ class CameraTopic(LiveTopic):
         if run.engine.failed is not None:
             self._words.append(f"It ended: {str(run.engine.failed).rstrip('.')}.")
         self._words += [said] * bool(said)
+
+
+def list_devices() -> list[dict[str, Any]]:
+    """List the cameras of this computer by number and name; none where the system has no such list (only Linux has)."""
+    found = []
+    for device in sorted(Path("/sys/class/video4linux").glob("video*"), key=lambda p: natural_key(p.name)):
+        with contextlib.suppress(OSError, ValueError):
+            if int((device / "index").read_text()) == 0:  # others of the same camera give no pictures
+                found.append({"number": int(device.name[5:]), "name": (device / "name").read_text().strip()})
+    return found
 
 
 def _sources(value: Any) -> dict[str, str]:

@@ -48,8 +48,17 @@ from hypose.io.calibrations.camera_tables import (
     tables_of,
     unit_of,
 )
-from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import open_file, read_bytes, read_json, read_toml, toml_key, toml_lines, write_text
+from hypose.io.files import (
+    natural_key,
+    open_file,
+    read_bytes,
+    read_json,
+    read_toml,
+    text_of,
+    toml_key,
+    toml_lines,
+    write_text,
+)
 from hypose.io.formats import Format, FormatTable, Source
 
 _KIND = "a calibration"

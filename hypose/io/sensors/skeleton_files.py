@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
-from hypose.io.file_names import text_of
 from hypose.io.files import (
     MAX_TEXT_BYTES,
     RecordingFolder,
@@ -32,6 +31,7 @@ from hypose.io.files import (
     numbers_of,
     read_json,
     text_lines,
+    text_of,
     write_text,
 )
 from hypose.io.formats import Format, FormatTable, Source
@@ -138,8 +138,6 @@ def _read_frame(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]
         number, time = int(cells[1]), float(cells[2])
     if number in sensor.times:
         raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
-    if not math.isfinite(time):
-        raise InputError(f"{where}: the time is not a number.")
     sensor.times[number] = time
     if "".join(cells[3:4]):
         sensor.depth[number] = cells[3]
@@ -321,8 +319,6 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
             person = int(float(cells[person_column])) if person_column is not None else 0
             values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
             turn = np.array([float(cells[i]) for i in turned])
-        if not math.isfinite(time):
-            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
         name = cells[sensor_column]
         if len(turn) == 2:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
@@ -347,30 +343,28 @@ def read_azure(source: Source) -> SkeletonRecording:
 
     Raises: InputError where a file is not of this format.
     """
-    paths = source.files(".json")
-    sensors, inputs = [_azure_rows(p) for p in paths], {p.name: p for p in paths}
-    return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
+    paths, sensors = source.files(".json"), []
+    for path in paths:
+        with numbers_of(str(path)):
+            value = _json(path)
+            rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
+            frames = list(value["frames"])
+        for i, frame in enumerate(frames):
+            with numbers_of(f"{path}, frame {i}"):
+                time = float(frame["timestamp_usec"]) * 1e-6
+                for body in frame["bodies"]:
+                    xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
+                    state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
+                    rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
+                if not frame["bodies"]:
+                    rows.empty.append(time)
+        sensors.append(rows)
+    inputs, name = {p.name: p for p in paths}, text_of(paths[0].stem)
+    return checked_recording(name, sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 
 def _json(path: Path) -> Any:
     return read_json(path, "recorded skeletons", MAX_TEXT_BYTES)
-
-
-def _azure_rows(path: Path) -> StreamRows:
-    with numbers_of(str(path)):
-        value = _json(path)
-        rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
-        frames = list(value["frames"])
-    for i, frame in enumerate(frames):
-        with numbers_of(f"{path}, frame {i}"):
-            time = float(frame["timestamp_usec"]) * 1e-6
-            for body in frame["bodies"]:
-                xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
-                state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
-                rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
-            if not frame["bodies"]:
-                rows.empty.append(time)
-    return rows
 
 
 # ---- skeleton formats ----------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport, clean_joints
 from hypose.geometry import Array
 from hypose.io.files import bounded_lines
@@ -90,11 +90,10 @@ class SkeletonRecording:
 
         Raises: InputError where there is no such sensor; it lists the names.
         """
-        for s in self.streams:
-            if s.name == name:
-                return s
-        names = ", ".join(s.name for s in self.streams)
-        raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {names}.")
+        found = {s.name: s for s in self.streams}
+        if name not in found:
+            raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {', '.join(found)}.")
+        return found[name]
 
     def reports(self) -> Iterator[SensorReport]:
         """Yield all reports one by one in order of time, as they would arrive live."""
@@ -159,17 +158,19 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     """
     notes: list[str] = []
     arrival = np.array(rows.times)
-    if not np.isfinite(arrival).all():
-        raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
-    forward = np.diff(np.unique(arrival))
+    forward = np.diff(np.unique(arrival[np.isfinite(arrival)]))
     usual = float(np.median(forward)) if len(forward) else 0.0
-    if usual > _SLOWEST_S:
-        raise InputError(
-            f"{where}: the frames of the sensor {rows.name} lie {usual:g} s apart, and times are seconds; divide "
-            "milliseconds by 1000."
-        )
-    if any(not -(2**63) <= person < 2**63 for person in rows.ids):
-        raise InputError(f"{where}: the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged.")
+    faults = {
+        f"a time of the sensor {rows.name} is not a number; times are seconds": not (
+            np.isfinite([*rows.times, *rows.empty]).all()
+        ),
+        f"the frames of the sensor {rows.name} lie {usual:g} s apart, and times are seconds; divide milliseconds by "
+        "1000": usual > _SLOWEST_S,
+        f"the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged": any(
+            not -(2**63) <= person < 2**63 for person in rows.ids
+        ),
+    }
+    refuse(f"{where}: ", faults)
     repaired, keep, clock_notes = repair_clock(arrival)
     notes += [f"{rows.name}: {text}" for text in clock_notes]
     order = np.flatnonzero(keep)[np.argsort(repaired[keep], kind="stable")]
@@ -543,8 +544,6 @@ def read_lines(source: Source) -> SkeletonRecording:
         if rows is None:
             if line.person is None:
                 continue  # no person yet: its joints are not known
-            if len(sensors) >= MAX_SENSORS:
-                raise InputError(f"{p}: line {number}: more than {MAX_SENSORS} sensors; split the recording.")
             rows = sensors[line.sensor] = StreamRows(line.sensor, line.joint_names)
         if line.person is None:
             rows.empty.append(line.time)

@@ -27,7 +27,7 @@ from hypose.evidence.silhouettes import (
     bounding_box,
 )
 from hypose.geometry import DepthMap, Image, Mask
-from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
+from hypose.io.recordings.recording_views import DepthPreparer, Preparer, mask_in, places_in_stored
 from hypose.pipeline.settings import SETTINGS
 
 

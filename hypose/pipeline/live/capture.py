@@ -34,7 +34,7 @@ from hypose.geometry import Array, Mask
 from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
-from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
+from hypose.io.videos.video import CameraImage, CameraSource, open_camera
 from hypose.pipeline.live.background_models import DepthViewBackground, NetworkBackground, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, punctual, start_process

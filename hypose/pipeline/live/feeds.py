@@ -15,7 +15,7 @@ import numpy as np
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.align import SensorClock
 from hypose.geometry import Array
-from hypose.io.videos.camera_sources import CameraImage, CameraSource
+from hypose.io.videos.video import CameraImage, CameraSource
 from hypose.pipeline.settings import SETTINGS
 
 

@@ -12,10 +12,9 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_views import ViewSettings
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource, ViewSettings
 from hypose.io.sensors.depth import DEPTH_PREFIX, is_depth
-from hypose.io.videos.camera_sources import is_device, without_password
+from hypose.io.videos.video import is_device, without_password
 from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.settings import SETTINGS
 

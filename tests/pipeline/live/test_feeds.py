@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.videos.camera_sources import CameraImage, StreamEnded
+from hypose.io.videos.video import CameraImage, StreamEnded
 from hypose.pipeline.live import feeds
 from hypose.pipeline.live.feeds import CameraFeed
 from hypose.pipeline.settings import SETTINGS
