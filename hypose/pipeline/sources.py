@@ -21,7 +21,6 @@ from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
-    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_views import ViewSource
 
@@ -31,7 +30,6 @@ class RecordedFrames(FrameSource, Protocol):
     """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
 
     recording: Recording
-    options: FrameSettings
     rig: CameraRig
     kinds: frozenset[type]
     keypoints: Sequence[Keypoints]
@@ -164,9 +162,6 @@ class ColourDetections:
                 "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
             )
         self._colours = end_colors(body, start, first, images)
-
-    def __len__(self) -> int:
-        return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
         """Read a frame with its detections; without them where fewer than two views see the person."""
