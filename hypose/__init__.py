@@ -55,8 +55,6 @@ _PLACES = {
     "kernels": "hypose.inference",
     "resampling": "hypose.inference",
     "SmoothedWeight": "hypose.inference.annealing",
-    "SurvivalRate": "hypose.inference.annealing",
-    "FixedAnnealingRate": "hypose.inference.annealing",
     "SilhouetteXor": "hypose.tracking.frame_evidence",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors

@@ -17,9 +17,7 @@ from hypose.fusion.fuse import fuse_clip as fuse_clip
 from hypose.fusion.people import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels
 from hypose.inference import resampling as resampling
-from hypose.inference.annealing import FixedAnnealingRate as FixedAnnealingRate
 from hypose.inference.annealing import SmoothedWeight as SmoothedWeight
-from hypose.inference.annealing import SurvivalRate as SurvivalRate
 from hypose.inference.hypotheses import Hypotheses as Hypotheses
 from hypose.inference.layer import Layer as Layer
 from hypose.inference.layer import Recipe as Recipe

@@ -259,7 +259,7 @@ def write_good(folder: Path) -> None:
     click = {"joint": "neck", "x": 40.5, "y": 30.0, "occluded": False}
     fit = {"recording": recording, "result": result, "frame": 0, "height": 1.75}
     fit["views"] = [{"camera": "cam1", "points": [click]}]
-    mask = "threshold=4&min_sd=5&shadow=true&close_px=5&shadow_range=0.4,0.9&method=gaussian"
+    mask = "settings=%7B%22threshold%22:4,%22shadow%22:true,%22shadow_range%22:[0.4,0.9]%7D"
     gets = [
         *(
             "/",

@@ -315,7 +315,7 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
         if evidence == "silhouettes":
             subject = known_subject(scene, _body(seed, "silhouettes"))
         else:
-            how = SubjectOptions("keypoints", frame_rate=rate, body=_body(seed, "keypoints"), known=True)
+            how = SubjectOptions("keypoints", frame_rate=rate, body=_body(seed, "keypoints"))
             subject = find_subject(source.frame, len(source), how)
     result = track_source(source, rate, options, subject=subject)
     assert result.one_by_one is not None and result.audit is not None

@@ -27,14 +27,14 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
-from hypose.app.options import TrackCommand
+from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.files import check_writable, file_name, read_json, text_lines, write_text
 from hypose.io.motions.results import provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
-from hypose.pipeline.comparison import compare_with
+from hypose.pipeline.comparison import compare_with_truth
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -84,7 +84,8 @@ class Task:
         """
         job = job_of(replace(self.command, out=self.results, resume=True, report=True))
         truth = job.recording.folder / "truth.npz"
-        return replace(job, truth=compare_with(truth, job.recording.frames.start) if truth.is_file() else None)
+        compared = partial(compare_with_truth, truth, first=job.recording.frames.start)
+        return replace(job, truth=compared) if truth.is_file() else job
 
     @property
     def written(self) -> dict[str, Any]:
@@ -119,9 +120,8 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
             options = {_COLUMNS_OF_TRACK[name].name: _COLUMNS_OF_TRACK[name].parse(v) for name, v in given.items()}
             for name in options.keys() & {"subject", "calibration"}:
                 options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
-            command = TrackCommand(
-                recording=path.parent / Path(row["recording"].strip()).expanduser(), **{**more, **options}
-            )
+            recording = path.parent / Path(row["recording"].strip()).expanduser()
+            command = TrackCommand(recording=recording, **{**recorded_options(recording), **more, **options})
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
@@ -145,7 +145,7 @@ def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task
             f"{given[0]} is neither a table (.csv) nor the folder of a recording; for all recordings in a folder give "
             f"{given[0]}/*, see docs/batch.md."
         )
-    return [Task(TrackCommand(recording=p, **more)) for p in folders]
+    return [Task(TrackCommand(recording=p, **{**recorded_options(p), **more})) for p in folders]
 
 
 def ordered_tasks(

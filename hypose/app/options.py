@@ -27,6 +27,7 @@ from hypose.options import (
     Seed,
     Threads,
     Yes,
+    declared,
 )
 from hypose.pipeline.track_options import CompareOptions, TrackOptions
 
@@ -74,6 +75,36 @@ class TrackCommand(TrackOptions):
         chosen: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(TrackOptions)}
         chosen["own"] = {k: v for k, v in own.items() if v is not None}
         return TrackOptions(**chosen)
+
+
+OF_RECORDING = {
+    d.flag.removeprefix("--").removeprefix("no-"): d
+    for d in declared(TrackCommand)
+    if d.name not in ("recording", "frames", "out", "resume", "calibration", "yes", "threads")
+}
+"""Keys of the table [track] in recording.toml."""
+
+
+def recorded_options(recording: Path) -> dict[str, Any]:
+    """Read the options of `hypose track` that a recording keeps: the table [track] of its recording.toml.
+
+    recording: the folder or the file; one that cannot be read has no options, and loading it says why.
+    Returns: values by name of a field of `TrackCommand`.
+    Raises: InputError names the key and the possible values.
+    """
+    from hypose.io.files import read_toml
+    from hypose.io.recordings.recording import CHECKS, check_keys
+
+    toml = recording if recording.suffix == ".toml" else recording / "recording.toml"
+    table = read_toml(toml).get("track", {}) if toml.is_file() else {}
+    if not isinstance(table, dict):
+        return {}
+    where = f"{toml}, track"
+    check_keys(where, table, {k: CHECKS[d.kind] for k, d in OF_RECORDING.items()})
+    out = {OF_RECORDING[k].name: OF_RECORDING[k].check(value, f"{where}: {k}") for k, value in table.items()}
+    if "subject" in out:
+        out["subject"] = str(toml.parent / out["subject"])
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)

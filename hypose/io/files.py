@@ -571,6 +571,16 @@ def folder_for(folder: str | Path, text: str) -> Path:
     return path
 
 
+def free_path(parent: Path, name: str, ending: str = "") -> Path:
+    """Return parent/name with an ending, or the first free numbered name: walk, walk-2, walk-3."""
+    numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
+    stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
+    path = parent / f"{name}{ending}"
+    while path.exists():
+        path, number = parent / f"{stem}-{number}{ending}", number + 1
+    return path
+
+
 def text_of(name: str | Path) -> str:
     """Convert a file's name to printable text; bytes that are not UTF-8 become escapes."""
     return visible(os.fspath(name))

@@ -134,28 +134,6 @@ StageProgress = Callable[[str, int, int], None]
 """Called often as progress(stage, done, total); raising KeyboardInterrupt in it stops the run and keeps its work."""
 
 
-class Deferred:
-    """Progress function that holds back a KeyboardInterrupt until `settle` is called.
-
-    Why: work that has begun is finished first, so a resumed run continues from the same state.
-    """
-
-    def __init__(self, progress: StageProgress) -> None:
-        self._progress, self._stopped = progress, False
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Report the progress of a stage; see StageProgress."""
-        try:
-            self._progress(stage, done, total)
-        except KeyboardInterrupt:
-            self._stopped = True
-
-    def settle(self) -> None:
-        """Raise the KeyboardInterrupt that was held back, if there was one."""
-        if self._stopped:
-            raise KeyboardInterrupt
-
-
 def tracker_of(
     subject: TrackedSubject,
     options: TrackOptions,
@@ -273,7 +251,7 @@ class TrackingSession:
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
-    held: progress function for the work of `manager`; an interruption during this work takes effect after the frame.
+    progress: called with stage, done, total. A KeyboardInterrupt that it raises takes the frame back that is tracked.
     candidates: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
     stopped: whether the user stopped `track`.
     """
@@ -284,7 +262,7 @@ class TrackingSession:
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict)
     every: int = 25
-    held: Deferred = field(default_factory=lambda: Deferred(lambda stage, done, total: None))
+    progress: StageProgress = lambda stage, done, total: None
     candidates: list[Array] = field(default_factory=list)
     stopped: bool = False
     _judging: list[Future[list[FrameEstimate]]] = field(default_factory=list)
@@ -294,15 +272,13 @@ class TrackingSession:
         """Number of tracked frames; 0 without people."""
         return len(self.people[0].estimates) if self.people else 0
 
-    def track(
-        self, frames: Iterator[Frame], last: Frame | None, total: int, progress: StageProgress
-    ) -> HyposeError | None:
+    def track(self, frames: Iterator[Frame], last: Frame | None, total: int) -> HyposeError | None:
         """Track the frames that are not done, up to `total` frames.
 
+        A KeyboardInterrupt that `progress` raises ends tracking and keeps the frames that are done; before the first
+        one it is raised.
         frames: the frames from number `done` on.
         last: the frame before; None: there is none.
-        progress: called with "track", done, total. A KeyboardInterrupt that it raises ends tracking and keeps the
-            frames that are done; before the first one it is raised.
         Returns: the error that ended tracking after some frames, where there is a checkpoint that keeps them; None
             where all frames are done or the user stopped. Without a checkpoint the error is raised.
 
@@ -313,17 +289,16 @@ class TrackingSession:
         with ThreadPoolExecutor(1, thread_name_prefix="judge") as pool:
             try:
                 for t in range(saved, total):
-                    progress("track", t, total)
+                    self.progress("track", t, total)
                     frame = next(frames)
                     with self._all_or_nothing():
                         self.step(frame, last, pool)
-                    self.held.settle()
                     last = frame
                     # each checkpoint holds all frames, so it is written ever less often: the total work stays linear
                     if self.checkpoint is not None and t + 1 - saved >= max(self.every, saved // 20) and t + 1 < total:
                         self.save(self.checkpoint)
                         saved = t + 1
-                progress("track", total, total)
+                self.progress("track", total, total)
             except KeyboardInterrupt:
                 if not self.done:
                     raise

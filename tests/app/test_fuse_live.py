@@ -67,7 +67,7 @@ async def feed(server, seconds, start=0.0, token=""):
             server.tick()
 
 
-OPTIONS = {"udp": 0, "ws": 0, "waiting": 1000, "settings": AlignSettings(timeout=0.6)}
+OPTIONS = {"udp": 0, "ws": 0, "settings": AlignSettings(timeout=0.6)}
 
 
 def live(play, **options):

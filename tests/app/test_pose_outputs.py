@@ -119,7 +119,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
     receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
     receiver.start()
-    while not out.listeners.server.queues:
+    while not out.listeners.server.listeners:
         assert receiver.is_alive()
         time.sleep(0.01)
     reported(out, followed[:5])

@@ -255,7 +255,7 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     from hypose.app.jobs.job import job_of, track_shown
-    from hypose.pipeline.comparison import compare_with
+    from hypose.pipeline.comparison import compare_with_truth
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
 
@@ -265,7 +265,12 @@ def demo(
     with claimed(out), Stages() as progress:
         write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
-    track_shown(replace(job_of(TrackCommand(recording=out, threads=threads)), truth=compare_with(out / "truth.npz")))
+    track_shown(
+        replace(
+            job_of(TrackCommand(recording=out, threads=threads)),
+            truth=lambda motion: compare_with_truth(out / "truth.npz", motion),
+        )
+    )
 
 
 def correct(

@@ -53,7 +53,6 @@ class FusionServerOptions:
         connect.
     record: new folder for a recording; None: nothing is recorded.
     settings: settings of the output instants.
-    waiting: messages kept for a slow listener.
     Raises: InputError where the token has an invalid form.
     """
 
@@ -64,7 +63,6 @@ class FusionServerOptions:
     token: str | None = None
     record: Path | None = None
     settings: AlignSettings = AlignSettings()
-    waiting: int = 32
 
     def __post_init__(self) -> None:
         if self.token is not None and not _TOKEN.fullmatch(self.token):
@@ -95,7 +93,7 @@ class LiveServer:
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self.listeners: list[_Say] = []  # receivers of all messages
-        self.sockets = SocketServer(self._hello, options.waiting, clients=32, take=self.take, token=self.token)
+        self.sockets = SocketServer(self._hello, clients=32, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
 
@@ -212,7 +210,7 @@ class LiveServer:
 
     def _post(self, line: Callable[[], str]) -> None:
         """Send a line, which is made only where it is received."""
-        if self.sockets.queues or self.listeners:
+        if self.sockets.listeners or self.listeners:
             text = line()
             for listener in (self.sockets.post, *self.listeners):
                 listener(text)

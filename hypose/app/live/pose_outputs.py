@@ -20,13 +20,12 @@ from hypose.app.live.servers import SocketListeners
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePersonOptions, LivePose
 from hypose.pipeline.live.live_rig import LiveRig
 from hypose.pipeline.live.recorder import LiveRecorder
 
 _UPPER = np.triu_indices(3)
-_WAITING = 8
 
 
 def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
@@ -55,7 +54,7 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     return json.dumps(value, separators=(",", ":"))
 
 
-class PoseOutputs:
+class PoseOutputs(Listener):
     """Listener of the live engine that sends poses to other programs.
 
     cameras: names of the cameras.
@@ -85,7 +84,7 @@ class PoseOutputs:
             for address, option, made in ((udp, "--udp", self._lines), (osc, "--osc", _osc), (vmc, "--vmc", self._vmc)):
                 if address is not None:
                     self._outs.append((OscTarget(address, option), made))
-            self.listeners = None if ws is None else SocketListeners(ws, _WAITING, self._hello)
+            self.listeners = None if ws is None else SocketListeners(ws, self._hello)
         except InputError:
             self.close()
             raise
@@ -115,7 +114,7 @@ class PoseOutputs:
         for target, made in self._outs:
             for datagram in made(seen.poses, latency):
                 target.put(datagram)
-        if self.listeners is not None and self.listeners.server.queues:
+        if self.listeners is not None and self.listeners.server.listeners:
             for pose in seen.poses:
                 self.listeners.post(pose_json(pose, latency, self._cameras))
 

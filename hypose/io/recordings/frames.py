@@ -511,6 +511,8 @@ class FrameStream:
     kinds: classes of evidence that frames of this stream can have.
     rig: pinhole cameras of the working size.
     keypoints: key points of the person per frame; empty where there are none.
+    unchosen: the same with those of views that do not fit the others, for checks of the calibration.
+    others: number of other people whom the key points show.
     Raises: InputError where the recording has no frames.
     """
 
@@ -528,7 +530,10 @@ class FrameStream:
         if len(self.frames) == 0:
             raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
         person = load_person(recording, self.rig)
-        self.keypoints = person.keypoints
+        self.keypoints = self.unchosen = person.keypoints
+        if person.one.apart:
+            self.unchosen = load_person(recording, self.rig, keep_misfits=True).keypoints
+        self.others = 0 if self.options.people else max(len(person.one.people) - 1, 0)
         self._people_notes = (*(() if self.options.people else person.one.notes), *person.held)
         self._skeletons = _Skeletons(self.keypoints if self.options.band else [], self.frames[0])
         self.backgrounds: tuple[BackgroundModel | None, ...] = ()

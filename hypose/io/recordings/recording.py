@@ -108,6 +108,7 @@ def _word(*words: str) -> Check:
 _TEXT: Check = (lambda value: isinstance(value, str), "text in quotes")
 _WHOLE: Check = (lambda value: type(value) is int and abs(value) < 1e9, "a whole number")
 _FLAG: Check = (lambda value: isinstance(value, bool), "true or false")
+_TABLE: Check = (lambda value: isinstance(value, dict), "a table, as [silhouettes]")
 _LIST: Check = (lambda value: isinstance(value, list), "a list in [ ]")
 _PAIR = _numbers(2, "numbers", int, float)
 _METRES = _number(0.4, 2.8, "metres")
@@ -127,7 +128,8 @@ RECORDING_KEYS: dict[str, Check] = {
     "view": _LIST,
     "left_out": _LIST,
     "person": _LIST,
-    "silhouettes": (lambda value: isinstance(value, dict), "a table [silhouettes]"),
+    "silhouettes": _TABLE,
+    "track": _TABLE,
 }
 PATH_KEYS = ("video", "images", "masks", "background", "keypoints", "depth")
 VIEW_KEYS: dict[str, Check] = {
@@ -146,8 +148,9 @@ PERSON_KEYS: dict[str, Check] = {
     "time": _number(0, 1e9, "seconds from the first frame"),
 }
 _REAL: Check = (lambda value: type(value) in (int, float) and abs(value) < 1e9, "a number")
-_OF_TYPE: dict[type, Check] = {str: _TEXT, int: _WHOLE, bool: _FLAG, float: _REAL, tuple: _PAIR}
-SILHOUETTE_KEYS = {f.name: _OF_TYPE[type(f.default)] for f in fields(SilhouetteSettings)}
+CHECKS: dict[type, Check] = {str: _TEXT, int: _WHOLE, bool: _FLAG, float: _REAL, tuple: _PAIR}
+"""Check of a value by its type."""
+SILHOUETTE_KEYS = {f.name: CHECKS[type(f.default)] for f in fields(SilhouetteSettings)}
 
 
 def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, Check]) -> None:

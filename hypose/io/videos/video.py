@@ -2,7 +2,8 @@
 
 The number of frames in a container is often wrong (capture software that adds two, files cut off during copying). So it
 is checked by decoding the last frame, and counted when that fails. Seeking with cv2.CAP_PROP_POS_FRAMES is not exact
-for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact.
+for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact. A
+reader for a user who drags along a timeline seeks (`VideoReader.jumps`) where that was found to be exact in the video.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import time
 import wave
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol
@@ -50,6 +51,8 @@ _CODECS = {
 }
 # A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
+_DECODED_AHEAD, _TRIAL = 24, 10
+"""Frames ahead that are faster decoded than reached by seeking, and the frame on which seeking is tested."""
 # Codecs whose stored packets are one frame each, so that counting packets counts frames.
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
 
@@ -176,6 +179,7 @@ class VideoReader:
     n_frames: number of frames that can be decoded.
     stated_frames: number of frames that the container states.
     position: index of the frame that comes next.
+    jumps: frames far away are reached by seeking, where that is exact in this video; False after opening.
     is_sequence: whether the frames are image files.
     """
 
@@ -184,7 +188,7 @@ class VideoReader:
         self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
-        self.position, self._decoded = 0, 0
+        self.position, self._decoded, self.jumps = 0, 0, False
         self._memory: Image | None = None  # of the last frame
         self.is_sequence = self._images is not None
         self.size, self.frame_rate, self.stated_frames, self.n_frames = _about(path)
@@ -218,9 +222,11 @@ class VideoReader:
         """
         if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
             return
-        if number < self._decoded:
+        if self.jumps and not 0 <= number - self._decoded <= _DECODED_AHEAD and self._seeks_exactly:
+            self._opened().set(cv2.CAP_PROP_POS_FRAMES, number)
+            self._decoded, self._memory = number, None
+        elif number < self._decoded:
             self.close()
-            self._capture, self._decoded = None, 0
         while self._decoded < number:
             if not self._opened().grab():
                 raise self._broken()
@@ -242,15 +248,29 @@ class VideoReader:
         return self._advance(out)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; it is opened again, and decoded from its start, where a frame is read later."""
         if self._capture is not None:
             self._capture.release()
+        self._capture, self._decoded = None, 0
 
     def __enter__(self) -> VideoReader:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @cached_property
+    def _seeks_exactly(self) -> bool:
+        """Whether seeking to frame _TRIAL gives the frame that decoding gives."""
+        if count_frames(self.path) <= _TRIAL + 1:
+            return False
+        with _capturing(self.path) as forward, _capturing(self.path) as jumping:
+            for _ in range(_TRIAL):
+                forward.grab()
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, count_frames(self.path) - 1)  # first seek to another frame
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, _TRIAL)
+            (_, true), (ok, found) = forward.read(), jumping.read()
+            return ok and np.array_equal(found, true)
 
     def _opened(self) -> cv2.VideoCapture:
         if self._capture is None:
@@ -272,7 +292,10 @@ class VideoReader:
             if number == self._decoded:
                 ok, frame = self._opened().read(out)
                 if not ok:
-                    raise self._broken()
+                    error = self._broken()
+                    if self.jumps:  # where the file stands now is not known
+                        self.close()
+                    raise error
                 self._memory = np.asarray(frame, dtype=np.uint8)
                 self._decoded += 1
             assert self._memory is not None

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,16 +108,14 @@ class LiveResult:
     poses: tuple[LivePose, ...]
 
 
-class Listener(Protocol):
-    """Protocol of a receiver of live results. The engine's thread calls it, so it must return at once."""
+class Listener:
+    """Receiver of live results. The engine's thread calls it, so it must return at once."""
 
     def seen(self, seen: LiveResult, /) -> None:
         """Receive an instant and the poses in it."""
-        ...
 
     def status(self, status: LiveStatus, /) -> None:
         """Receive the state of the run; called every second."""
-        ...
 
 
 class LiveEngine:

@@ -10,7 +10,6 @@ explains the masks as well as the one before.
 from __future__ import annotations
 
 import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -82,17 +81,13 @@ class FoundPerson:
     step_s: float
 
 
-@dataclass(frozen=True)
-class _Look:
-    """One frame of a search, and the people who are tracked in it already."""
-
-    frame: Frame
-    others: Sequence[Other]
+_Look = tuple[Frame, Sequence[Other]]
+"""One frame of a search, and the people who are tracked in it already."""
 
 
 class LiveSearch:
-    """Search for people in live masks. Call `look` with every frame that may show a person who is not tracked yet; it
-    never waits.
+    """Search for people in live masks. Call `take` and then `look` with every frame that may show a person who is not
+    tracked yet; they never wait.
 
     executor: runs the search.
     several: there may be more than one person, so each is searched in the mask that the others leave.
@@ -102,20 +97,24 @@ class LiveSearch:
         self.options, self.several = options, several
         self.phase = STATE_EMPTY
         self._executor = executor
-        self._first: list[_Look] = []
-        self._waiting: deque[_Look] = deque()
-        self._lock = threading.Lock()
-        self._search: Future[None] | None = None
-        self._found: list[FoundPerson] = []
-        self._failed, self._not_before = 0, -np.inf
+        self._kept: deque[_Look] = deque()  # while a search runs, it takes the frames from here
+        self._search: Future[list[FoundPerson]] | None = None
+        self._last, self._crowded, self._failed, self._not_before = -np.inf, False, 0, -np.inf
 
     def take(self) -> list[FoundPerson]:
         """Return the people who were found since the last call."""
-        with self._lock:
-            found, self._found = self._found, []
-            if found:
-                self._search, self._first, self.phase = None, [], STATE_EMPTY
-                self._failed, self._not_before = 0, -np.inf
+        if self._search is None or not self._search.done():
+            return []
+        search, self._search = self._search, None
+        self._kept.clear()
+        try:
+            found = search.result()
+        except EvidenceError:
+            if self._crowded:  # search less often: the tracked people need the processor
+                self._failed += 1
+                self._not_before = self._last + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
+            return []
+        self.phase, self._failed = STATE_EMPTY, 0
         return found
 
     def look(self, frame: Frame, others: Sequence[Other], most: int, body: Body | None, height: float | None) -> None:
@@ -125,46 +124,29 @@ class LiveSearch:
         most: most people to search.
         body, height: body and height of the new person, where known; height in m.
         """
-        with self._lock:
-            if not self._found:
-                self._look(_Look(frame, others), most, body, height)
+        passed = frame.time - self._last
+        if frame.time < self._not_before or passed < 0.9 / SETTINGS.search_slowly_hz:
+            return
+        shown, searching = _largest_person(frame, others), self._search is not None
+        if not searching and (not shown or passed > SETTINGS.search_gap_s):
+            self._kept.clear()
+            self.phase = STATE_EMPTY
+        if not shown or len(self._kept) >= SETTINGS.search_longest:
+            return
+        self._kept.append((frame, others))
+        self._last, self._crowded, self.phase = frame.time, bool(others), STATE_SEARCHING
+        if not searching and len(self._kept) == SETTINGS.search_decide:
+            first = [self._kept.popleft() for _ in range(SETTINGS.search_decide)]
+            self._search = self._executor.submit(self._find, first, most, body or human(), height)
 
-    def _look(self, look: _Look, most: int, body: Body | None, height: float | None) -> None:
-        frame = look.frame
-        if self._search is not None and self._search.done():
-            failed = self._search.exception()
-            if failed is not None and not isinstance(failed, EvidenceError):
-                raise failed
-            self._search, self._first = None, []
-            self._waiting.clear()
-            if look.others:  # search less often: the tracked people need the processor
-                self._failed += 1
-                self._not_before = frame.time + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
-        if frame.time < self._not_before:
-            return
-        kept = self._waiting if self._search is not None else self._first
-        if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
-            return
-        if not _largest_person(look):
-            if self._search is None:
-                self.phase, self._first = STATE_EMPTY, []
-            return
-        if self._search is not None:
-            if len(self._waiting) < SETTINGS.search_longest:
-                self._waiting.append(look)
-            return
-        if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
-            self._first = []
-        self._first.append(look)
-        self.phase = STATE_SEARCHING
-        if len(self._first) == SETTINGS.search_decide:
-            self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
+    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> list[FoundPerson]:
+        """Find starts in the first frames and track them through the frames since then; runs in another thread.
 
-    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
-        """Find starts in the first frames and track them through the frames since then; runs in another thread."""
+        Raises: EvidenceError where no body explains the masks.
+        """
         options, zero = self.options, np.zeros(template.skeleton.dof)
         members = list[Member]()
-        for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
+        for frames in _each_alone(looks, most) if self.several else [[frame for frame, _ in looks]]:
             prepared = [prepare(f, template, zero) for f in frames]
             best = weigh_starts(starts_in_frame(template, prepared[0], height), prepared[1:]).best
             if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
@@ -172,29 +154,22 @@ class LiveSearch:
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
             raise EvidenceError("No body explains the masks.")
-
-        def step(members: Sequence[Member], look: _Look) -> list[Member]:
-            return step_together(members, look.frame, others=look.others, alone=not self.several)[0]
-
-        last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
-        for look in looks:
-            members, last = step(members, look), look.frame.time
-        while True:
-            with self._lock:
-                # skip frames where a step takes longer than the time between them, else the present is never reached
-                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(
-                    1.5 * spent, SETTINGS.search_gap_s
-                ):
-                    self._waiting.popleft()
-                if not self._waiting:
-                    self._found = [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
-                    return
-                look = self._waiting.popleft()
-            begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
+        alone, step_s, spent = not self.several, 1 / SETTINGS.search_slowly_hz, 0.0
+        for frame, others in looks:
+            members = step_together(members, frame, others=others, alone=alone)[0]
+        last = looks[-1][0].time
+        while self._kept:
+            # skip frames where a step takes longer than the time between them, else the present is never reached
+            within = min(1.5 * spent, SETTINGS.search_gap_s)
+            while len(self._kept) > 1 and self._kept[1][0].time - last < within:
+                self._kept.popleft()
+            frame, others = self._kept.popleft()
+            begin, before_s, step_s = time.monotonic(), step_s, frame.time - last
             share = 0.0 if step_s > SETTINGS.search_gap_s else step_s / before_s
             members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
-            members = step(members, look)
-            last, spent = look.frame.time, time.monotonic() - begin
+            members = step_together(members, frame, others=others, alone=alone)[0]
+            last, spent = frame.time, time.monotonic() - begin
+        return [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
 
 
 def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
@@ -211,13 +186,13 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
     return replace(state, previous=state.pose - share * step, hypotheses=h)
 
 
-def _largest_person(look: _Look) -> bool:
+def _largest_person(frame: Frame, others: Sequence[Other]) -> bool:
     """Return whether enough views show something of the size of a person in addition to the known people."""
-    for s in look.frame.of(Silhouettes):
-        if look.others:
-            return birth_candidates(look.others, s)
+    for s in frame.of(Silhouettes):
+        if others:
+            return birth_candidates(others, s)
         large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
-        return int((large & s.usable).sum()) >= look.frame.fewest_views
+        return int((large & s.usable).sum()) >= frame.fewest_views
     return False
 
 
@@ -225,13 +200,11 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
     """Make the evidence of each new person in the hull of the first frame; those who are not in most of the frames are
     left out.
     """
-    paths = follow_places(
-        lambda t: looks[t].frame, range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t].others
-    )
+    paths = follow_places(lambda t: looks[t][0], range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t][1])
     out = list[list[Frame]]()
     for path in [p for p in paths if 0 in p.found and len(p.found) > len(looks) // 2][:most]:
-        at = [(looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
-        out.append([candidate_evidence(one, look.frame, look.others, all_) for look, one, all_ in at])
+        at = [(*looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
+        out.append([candidate_evidence(one, frame, others, all_) for frame, others, one, all_ in at])
     return out
 
 
