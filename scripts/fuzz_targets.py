@@ -43,7 +43,7 @@ def targets() -> dict[str, Target]:
     from hypose.io.motions import meshes, results
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
-    from hypose.io.sensors.skeleton_streams import parse_line
+    from hypose.io.sensors.skeleton_files import parse_line
     from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 

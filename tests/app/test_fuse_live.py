@@ -21,8 +21,7 @@ from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.geometry import transform
-from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_streams import format_line
+from hypose.io.sensors.skeleton_files import format_line, read_skeletons
 from tests.conftest import HANG_S
 from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc, udp_sink

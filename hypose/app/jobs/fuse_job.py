@@ -40,12 +40,12 @@ from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     common_times,
     join_observations,
+    read_skeletons,
     resample,
     shifted,
 )

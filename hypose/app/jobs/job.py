@@ -53,7 +53,7 @@ from hypose.io.motions.results import (
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.io.sensors.skeleton_files import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note

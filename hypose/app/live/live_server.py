@@ -28,8 +28,7 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.fusion.people import LiveFrame, LiveFuser
 from hypose.io.motions.results import json_values
-from hypose.io.sensors.skeleton_files import FolderWriter
-from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
+from hypose.io.sensors.skeleton_files import MAX_SKELETON_LINE, FolderWriter, parse_line
 from hypose.pipeline.live.processes import punctual
 
 _Say = Callable[[str], None]
