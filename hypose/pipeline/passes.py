@@ -545,6 +545,7 @@ SEARCHES = {
             (
                 "the limb search found the limb elsewhere than the solve from the predicted pose",
                 "the table of arm poses found the arm elsewhere in the masks",
+                "the arm was taken over from a rival hypothesis",
                 "a rival hypothesis of the frames before became the best one",
             ),
             strict=True,

@@ -28,7 +28,7 @@ from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
 from hypose.inference.resampling import distinct
 from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
-from hypose.tracking.left_right import strain, turned_around, with_joints_at
+from hypose.tracking.left_right import strain, turn_pose, turned_around, with_joints_at
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
 # ---- known poses and key points -------------------------------------------------------------------------------------
@@ -145,7 +145,8 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     except EvidenceError:
         return pose
     bases = pose, known_pose(body, "standing"), known_pose(body, "a")
-    candidates = np.concatenate([pose[None], *(_placed(body, base, hull, 8) for base in bases)])
+    turned = [turn_pose(base, heading) for base in bases for heading in np.arange(8) * np.pi / 4]
+    candidates = np.stack([pose, *(_centred(body, q, hull) for q in turned)])
     order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_FIRST_ROUND]
     # solve the best briefly, and the best of these at length: a wrong heading may overlap better than the right one
     # until the limbs have moved
@@ -154,6 +155,14 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     poses = np.stack([f.pose for f in refine(body, moved[order], frame, SETTLING)])
     found = poses[np.argmin(evidence_energy(body, poses, frame.evidence))]
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
+
+
+def _centred(body: Body, pose: Array, hull: Hull) -> Array:
+    """Move a pose so that the mesh's centre lies at the hull's: a person who is lost may have no foot on the floor."""
+    vertices, out = body.skin(pose), pose.copy()
+    target, middle = (0.5 * (points.min(0) + points.max(0)) for points in (hull.points, vertices))
+    out[:3] += 0.5 * (target - middle) + 0.5 * (hull.centroid - vertices.mean(0))
+    return out
 
 
 def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
