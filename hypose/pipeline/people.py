@@ -265,7 +265,9 @@ def _again(
     seen = least_hidden({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
     try:
-        chosen, fit = fit_outlines(lambda k: own_at(who, seen[k]), subject.body, poses, iou, Known(height))
+        chosen, fit = fit_outlines(
+            lambda k: own_at(who, seen[k]), subject.body, poses, iou, Known(height), SETTINGS.again_poses
+        )
     except HyposeError:
         return noted
     frames = [own_at(who, seen[k]) for k in chosen]

@@ -238,8 +238,9 @@ class PipelineSettings:
         0.85.
     check_worse_pose: Decrease of IoU that a named pose may have compared with another; arms are corrected from up to 45
         degrees away.
-    subject_poses, subject_looked_at: Poses to which outlines are fitted, and frames among which they are chosen. In
-        shared masks the lengths of arms and legs were as far off with 20 poses (seeds 440 and 441).
+    again_poses: Poses to which a body is fitted again. With 8 and 20 the lengths of arms and legs were as far off
+        (seeds 440 and 441), but with 8 people who cross were lost (golden clip: 41 mm, with 12 13 mm).
+    subject_poses, subject_looked_at: Poses to which outlines are fitted, and frames among which they are chosen.
     subject_particles: Particles with which these frames are tracked.
     subject_the_person: Mean IoU of the template's girths up to which masks do not belong to the person of the key
         points.
@@ -476,6 +477,7 @@ class PipelineSettings:
     check_extent_m: tuple[float, float] = (0.4, 3.2)
     check_least_overlap: float = 0.4
     check_worse_pose: float = 0.05
+    again_poses: int = 12
     subject_poses: int = 8
     subject_particles: int = 48
     subject_looked_at: int = 24
