@@ -43,7 +43,7 @@ def moved_sensors(
     if count < least or all(depth.usable.sum() < 2 for depth in depths):
         return (), ()
     depth = depths[0]
-    reported = _cameras(depth)
+    reported = np.stack([c.camera_from_world for c in depth.rig])
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:
         known = (np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start).tolist()
@@ -83,10 +83,6 @@ def moved_sensors(
             found.append(Places(stretch.start if len(found) or stretch.start >= least else 0, now))
         before = now
     return tuple(found), tuple(said)
-
-
-def _cameras(depth: Depth) -> Array:
-    return np.stack([c.camera_from_world for c in depth.rig])
 
 
 def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:

@@ -341,7 +341,8 @@ def swap_identities(
 
 def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
     """Return what each person whose place is known covers in the views."""
-    return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
+    known = [(p.member.tracker.body, p.estimates[-1].pose) for p in people if p.member.sure]
+    return [Other(shape_of(body, pose, silhouettes.rig)) for body, pose in known]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
