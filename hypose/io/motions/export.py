@@ -127,7 +127,7 @@ def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
     model, markers, setup = (folder / name for name in ("motion.osim", "motion_markers.trc", "motion_ik.xml"))
     write_osim(model, body)
     write_ik_markers(markers, motion, body)
-    write_ik_setup(setup, motion, body, model.name, markers.name, "motion_ik.mot")
+    write_ik_setup(setup, motion, body, model.name, markers.name)
     return [model, markers, setup]
 
 

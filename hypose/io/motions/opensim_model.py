@@ -151,7 +151,7 @@ class _Writer:
         """Add all joints: of the trunk, and of the legs and arms of both sides."""
         moves = [(f"pelvis_t{a}", e) for a, e in zip("xyz", (_X, _Y, _Z), strict=True)]
         turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
-        _joint(joints, "ground_pelvis", "/ground", "pelvis", np.zeros(3), turn, moves)
+        self.joint(joints, "ground_pelvis", "", "pelvis", turn, moves)
         self.joint(joints, "lumbar", "pelvis", "torso", _ball("lumbar_extension lumbar_bending lumbar_rotation"))
         self.joint(joints, "neck", "torso", "head", _ball("neck_flexion neck_bending neck_rotation"))
         for s, side, sign in _SIDES:
@@ -170,10 +170,56 @@ class _Writer:
             self.joint(joints, f"wrist_{s}", ulna, hand, wrist, locked=True)
 
     def joint(
-        self, joints: Xml.Element, name: str, parent: str, child: str, turn: Sequence, locked: bool = False
+        self,
+        joints: Xml.Element,
+        name: str,
+        parent: str,
+        child: str,
+        turn: Sequence[tuple[str | float, Array]],
+        moves: Sequence[tuple] = (),
+        limits: Mapping[str, tuple[float, float]] | None = None,
+        locked: bool = False,
     ) -> None:
-        """Add a joint in which the segment `child` turns at its place in the segment `parent`; turn: as of `_joint`."""
-        _joint(joints, name, f"/bodyset/{parent}", child, self.place(parent, child), turn, locked=locked)
+        """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes.
+
+        joints: XML element of the joints.
+        parent, child: segment above it, "" for the ground, and segment below it, which turns at its place at rest.
+        turn: for each rotation the name of its coordinate, or a fixed angle (rad), and its axis (3,).
+        moves: for each translation the same, and its law as in `_axis`, from the origin of the segment above; none
+            where the joint does not translate.
+        limits: lower and upper limit of coordinates by name, rad or m; the others are free.
+        locked: the coordinates are fixed.
+        """
+        sockets = {f"socket_{end}_frame": f"{name}_{end}" for end in ("parent", "child")}
+        joint, limits = put(joints, "CustomJoint", children=sockets, name=name), limits or {}
+        names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
+        names |= dict.fromkeys(n for group, *_ in moves if isinstance(group, tuple) for n in group)
+        coordinates = put(joint, "coordinates")
+        for coordinate in names:
+            reach = limits.get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
+            about = {
+                "default_value": "0",
+                "range": _numbers(reach),
+                "clamped": "true" if coordinate in limits else "false",
+                "locked": "true" if locked else "false",
+            }
+            put(coordinates, "Coordinate", children=about, name=coordinate)
+        place = np.zeros(3) if moves else self.place(parent, child)
+        above = f"/bodyset/{parent}" if parent else "/ground"
+        frames = put(joint, "frames")
+        for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
+            about = {"socket_parent": frame, "translation": _numbers(where), "orientation": "0 0 0"}
+            put(frames, "PhysicalOffsetFrame", children=about, name=f"{name}_{suffix}")
+        turns: list[tuple] = [*turn]
+        if len(turns) == 1:  # completed to three independent axes
+            axis = turn[0][1]
+            across = np.asarray(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]), dtype=np.float64)
+            turns += [(0.0, across), (0.0, np.asarray(np.cross(axis, across), dtype=np.float64))]
+        shifts = moves or [(0.0, axis) for axis in (_X, _Y, _Z)]
+        transform = put(joint, "SpatialTransform")
+        for kind, parts in (("rotation", turns), ("translation", shifts)):
+            for k, part in enumerate(parts, 1):
+                _axis(transform, f"{kind}{k}", *part)
 
     def hinge(self, joints: Xml.Element, name: str, angle: str, parent: str, child: str) -> None:
         """Add a hinge, whose `angle` is limited, in rad from the straight limb."""
@@ -181,8 +227,7 @@ class _Writer:
         axis = BODY_AXES @ self.neutral[self.origin[parent]] @ hinge_axis(s, joint)
         d, offset = s.dofs_of(joint)[0], straight_offset(s, joint)
         limits = {angle: (float(s.lower[d] + offset), float(s.upper[d] + offset))}
-        place = self.place(parent, child)
-        _joint(joints, name, f"/bodyset/{parent}", child, place, [(angle, axis)], limits=limits)
+        self.joint(joints, name, parent, child, [(angle, axis)], limits=limits)
 
     def place(self, parent: str, child: str) -> Array:
         """Compute the origin (3,) of the segment `child` at rest, in the frame of the segment `parent`, m."""
@@ -192,7 +237,7 @@ class _Writer:
         """Add a shoulder: turns, and the motion of its centre by the clavicle.
 
         s, side: short and long name of the side.
-        turn: as of `_joint`.
+        turn: as of `joint`.
         The centre moves freely forwards and up; its sideways motion, which follows from the clavicle's constant length,
         is a polynomial of these two.
         """
@@ -207,7 +252,7 @@ class _Writer:
         law[0] += place[2]
         moves = [(free[0], _X, place[0]), (free[1], _Y, place[1]), (free, _Z, law)]
         limits = {name: (float(x.min()), float(x.max())) for name, x in zip(free, (a, b), strict=True)}
-        _joint(joints, f"shoulder_{s}", "/bodyset/torso", f"humerus_{s}", np.zeros(3), turn, moves, limits)
+        self.joint(joints, f"shoulder_{s}", "torso", f"humerus_{s}", turn, moves, limits)
 
     def markers(self, parent: Xml.Element) -> None:
         s, marks = self.skeleton, self.body.landmarks
@@ -223,59 +268,6 @@ class _Writer:
 def _ball(names: str, sign: float = 1.0) -> list[tuple[str, Array]]:
     """List the three named angles of a ball joint with their axes; sign: -1 for the left side."""
     return list(zip(names.split(), (_Z, sign * _X, sign * _Y), strict=True))
-
-
-def _joint(
-    parent: Xml.Element,
-    name: str,
-    above: str,
-    child: str,
-    place: Array,
-    turn: Sequence[tuple[str | float, Array]],
-    moves: Sequence[tuple] = (),
-    limits: dict[str, tuple[float, float]] | None = None,
-    locked: bool = False,
-) -> None:
-    """Add a CustomJoint: successive rotations about axes in the parent's frame, and translations along axes.
-
-    parent: XML element of the joints.
-    name: name of the joint.
-    above, child: frame of the segment above it, and name of the segment below it.
-    place: (3,) place of the joint in the frame above, m.
-    turn: for each rotation the name of its coordinate, or a fixed angle (rad), and its axis (3,).
-    moves: for each translation the same, and its law as in `_axis`; none where the joint does not translate.
-    limits: lower and upper limit of coordinates by name, rad or m; the others are free.
-    locked: the coordinates are fixed.
-    """
-    sockets = {f"socket_{end}_frame": f"{name}_{end}" for end in ("parent", "child")}
-    joint = put(parent, "CustomJoint", children=sockets, name=name)
-    names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
-    names |= dict.fromkeys(n for group, *_ in moves if isinstance(group, tuple) for n in group)
-    coordinates = put(joint, "coordinates")
-    for coordinate in names:
-        reach = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
-        about = {
-            "default_value": "0",
-            "range": _numbers(reach),
-            "clamped": "true" if coordinate in (limits or {}) else "false",
-            "locked": "true" if locked else "false",
-        }
-        put(coordinates, "Coordinate", children=about, name=coordinate)
-    frames = put(joint, "frames")
-    for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
-        about = {"socket_parent": frame, "translation": _numbers(where), "orientation": "0 0 0"}
-        put(frames, "PhysicalOffsetFrame", children=about, name=f"{name}_{suffix}")
-    transform = put(joint, "SpatialTransform")
-    axes = [axis for _, axis in turn]
-    if len(axes) == 1:  # completed to three independent ones
-        across = np.asarray(np.cross(axes[0], np.eye(3)[np.abs(axes[0]).argmin()]), dtype=np.float64)
-        axes += [across, np.asarray(np.cross(axes[0], across), dtype=np.float64)]
-    for k in range(3):
-        free = turn[k][0] if k < len(turn) else 0.0
-        _axis(transform, f"rotation{k + 1}", free, axes[k])
-    for k, axis in enumerate((_X, _Y, _Z)):
-        free, along, *law = moves[k] if moves else (0.0, axis)
-        _axis(transform, f"translation{k + 1}", free, along, *law)
 
 
 def _axis(
@@ -350,10 +342,10 @@ def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
     write_trc(path, marker_names(body), points, motion.frame_rate, start_time=float(motion.times[0]))
 
 
-def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, markers: str, output: str) -> None:
+def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, markers: str) -> None:
     """Write the set-up file of OpenSim's Inverse Kinematics tool.
 
-    model, markers, output: names of the model, marker and result files, relative to the set-up file.
+    model, markers: names of the model and marker files, relative to the set-up file.
     """
     root = Xml.Element("OpenSimDocument", Version="40000")
     about = {
@@ -363,9 +355,9 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
         "marker_file": markers,
         "time_range": _numbers([motion.times[0], motion.times[-1]]),
         "report_errors": "true",
-        "output_motion_file": output,
+        "output_motion_file": "motion_ik.mot",
     }
-    tool = put(root, "InverseKinematicsTool", children=about, name=Path(output).stem)
+    tool = put(root, "InverseKinematicsTool", children=about, name="motion_ik")
     tasks = put(put(tool, "IKTaskSet"), "objects")
     for name, weight in zip(marker_names(body), marker_weights(motion, body).tolist(), strict=True):
         put(tasks, "IKMarkerTask", children={"apply": "true", "weight": f"{weight:.4g}"}, name=name)
