@@ -19,12 +19,12 @@ from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhou
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject import TrackedSubject
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.view_source import ViewSource
+    from hypose.pipeline.subject import TrackedSubject
 
 
 @runtime_checkable
