@@ -16,7 +16,7 @@ import numpy as np
 from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, likely_shown, make_detector, sheet_views
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.file_names import natural_key, text_of
+from hypose.io.files import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
 BoardProgress = Callable[[str, int, int], None]

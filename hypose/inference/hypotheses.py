@@ -79,11 +79,13 @@ class Hypotheses:
         origin: (*B, N) number of the sensor, kernel or parent of each hypothesis, or one number for all.
         """
         states = np.asarray(values, dtype=np.float64)
-        return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
+        shape = states.shape[:-1]
+        return Hypotheses(states, np.full(shape, -np.log(max([1, *shape[-1:]]))), np.asarray(origin, np.int32))
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
         """Return the same hypotheses with equal weights 1/N, at other values (*B, N, D) where given."""
-        return (self if values is None else self.at(values))._with(log_weights=_equal_log_weights(self.values))
+        equal = np.full(self.log_weights.shape, -np.log(self.count))
+        return (self if values is None else self.at(values))._with(log_weights=equal)
 
     def at(self, values: FloatArray) -> Hypotheses:
         """Return the same hypotheses at other values (*B, N, D)."""
@@ -139,7 +141,7 @@ class Hypotheses:
     @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
-        usable = _usable(self.log_weights)
+        usable = np.isfinite(self.log_weights)
         if usable.all():  # the usual case
             return self.log_weights - self.log_weights.max(axis=-1, keepdims=True)
         log_weights = np.where(usable, self.log_weights, -np.inf)
@@ -164,7 +166,7 @@ class Hypotheses:
         extra = np.asarray(log_likelihood, dtype=np.float64)
         if extra.shape != self.log_weights.shape:
             raise ValueError(f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}")
-        usable = np.where(_usable(extra), extra, -np.inf)
+        usable = np.where(np.isfinite(extra), extra, -np.inf)
         return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
@@ -201,20 +203,9 @@ class Hypotheses:
 _FIELDS = tuple(f.name for f in fields(Hypotheses))
 
 
-def _equal_log_weights(values: FloatArray) -> FloatArray:
-    """Return equal log-weights (*B, N) for states (*B, N, D)."""
-    shape = values.shape[:-1]
-    return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
-
-
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
     """Select rows of a column (*B, N, ...) by index (*B, M)."""
     if chosen.ndim == 1:  # one population, the usual case: the same result, faster
         return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))
     return np.take_along_axis(column, index, chosen.ndim - 1)
-
-
-def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:
-    """Mark finite log-weights: -inf is weight 0; NaN and +inf come from a failed measurement."""
-    return np.isfinite(log_weights)

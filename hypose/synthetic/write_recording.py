@@ -20,8 +20,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import openpose_document
 from hypose.geometry import Array, Image, se3, transform, unit
-from hypose.io.file_names import file_name
-from hypose.io.files import atomic_path, write_text
+from hypose.io.files import atomic_path, file_name, write_text
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter

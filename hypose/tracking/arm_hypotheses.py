@@ -31,7 +31,7 @@ from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, memb
 _SOLVE, _LOOK = "rivals solved", "arms looked up"
 """Keys in a frame's `shared` of what was started in the background while other layers run."""
 
-SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
+SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "old rival"))
 """Roles that name the origin of a hypothesis."""
 
 DEPTH_KEEPS = 2
@@ -114,8 +114,8 @@ class RefineRivals:
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
         composite = self._composite(h, winner, frame)
-        crossed, whose, looked_up = frame.shared.pop(_LOOK, partial(self._look, h, winner, old, frame))()
-        starts = [*composite, *looked_up, *crossed]
+        looked_up = frame.shared.pop(_LOOK, partial(self._looked_up, h, winner, old, frame))()
+        starts = [*composite, *looked_up]
         poses = np.stack([winner, *self._solved(starts, old, frame)])
         parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
         fresh = np.zeros(len(poses), np.bool_)
@@ -130,11 +130,9 @@ class RefineRivals:
         for k, (arm, _) in enumerate(self.arms):
             jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
             before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
-        for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
-            before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         row = 1
-        for role, of in zip(SEARCH_ROLES, (composite, looked_up, crossed, old), strict=True):
+        for role, of in zip(SEARCH_ROLES, (composite, looked_up, old), strict=True):
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
@@ -157,21 +155,7 @@ class RefineRivals:
         """
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame).values[1:], frame.prediction)
-            frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
-
-    def _look(
-        self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame
-    ) -> tuple[list[Array], list[tuple[int, int]], list[Array]]:
-        """Run `_crossed` and `_looked_up`; return their results.
-
-        h: hypotheses before the kernel; winner: (D,) solved pose; old: (K, D) predicted rivals.
-        """
-        elsewhere = self._elsewhere(winner, old)
-        crossed, whose = self._crossed(winner, old, elsewhere, frame)
-        tried = [
-            [k for k in range(len(old)) if elsewhere[k].sum() < 2 or (k, n) in whose] for n in range(len(self.arms))
-        ]
-        return crossed, whose, self._looked_up(h, winner, [old[k] for k in tried], frame)
+            frame.shared[_LOOK] = in_background(partial(self._looked_up, h, member(h, SOLVED), old, frame))
 
     def _by_pictures(
         self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
@@ -213,45 +197,17 @@ class RefineRivals:
         energy = frame_energy(np.stack([winner, composite]), frame)
         return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
 
-    def _looked_up(self, h: Hypotheses, winner: Array, tried: list[Array], frame: PreparedFrame) -> list[Array]:
+    def _looked_up(self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame) -> list[Array]:
         """Find poses (D,) with one arm elsewhere than in the winner, from the tables.
 
         h: hypotheses after the limb search; winner: (D,).
-        tried: per arm, rivals (K, D) that are solved anyway; arms near theirs are left out.
+        old: (K, D) predicted rivals, which are solved anyway; arms near theirs are left out.
         """
         found: list[Array] = []
-        for (arm, turn), known in zip(self.arms, tried, strict=True):
+        for arm, turn in self.arms:
             if turn(h, frame):
-                found += rival_arms(arm, winner, frame, self.look, known)
+                found += rival_arms(arm, winner, frame, self.look, old)
         return found
-
-    def _crossed(
-        self, winner: Array, old: Array, elsewhere: NDArray[np.bool_], frame: PreparedFrame
-    ) -> tuple[list[Array], list[tuple[int, int]]]:
-        """Build poses that combine the winner with one arm of a rival that differs in both arms.
-
-        winner: (D,); old: (K, D) predicted rivals; elsewhere: (K, A) true for arms of a rival that are far from the
-            winner's.
-        Why: one arm of a rival may be right while the other is wrong. Only poses that overlap about as well are kept.
-        Returns: poses (D,); the numbers of rival and arm of each.
-        """
-        pairs = [(int(k), int(n)) for k, n in np.argwhere(elsewhere) if elsewhere[k].sum() > 1]
-        if not pairs:
-            return [], []
-        poses = np.repeat(winner[None], len(pairs) + 1, 0)
-        for pose, (k, n) in zip(poses[1:], pairs, strict=True):
-            pose[self.arms[n][0].own] = old[k, self.arms[n][0].own]
-        energy = frame_energy(poses, frame)
-        good = np.flatnonzero(energy[1:] <= self.look.ratio * energy[0])
-        return [poses[1 + i] for i in good], [pairs[i] for i in good]
-
-    def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
-        """Decide which arms of rivals (K, D) are far from the winner's; return (K, A).
-
-        winner: (D,); old: (K, D) rivals, predicted into this frame.
-        """
-        at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
-        return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """Solve from the starts and from the predictions (K, D) of the rivals, in several threads; return the poses

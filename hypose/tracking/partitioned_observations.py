@@ -145,21 +145,9 @@ class PartitionedXor:
             return own
         # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
         boxes = boxes_in_views(self.region.box(self.body, h.mean()), frame.frame.the(Silhouettes).rig)
-        return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + own
-
-
-def partitioned_energy(
-    body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
-) -> Array:
-    """Compute the energies (N,) of eq. 2.15 for poses (N, D) in boxes (C, 4), px; zeros when no usable view has a box.
-
-    frame: prepared; faces: (F,) true for the triangles drawn, None: all.
-    """
-    masks = frame.silhouettes.masks
-    pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-    use = masks.usable & (pixels > 0)
-    if not use.any():
-        return np.zeros(len(poses))
-    flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=faces)
-    return (counts[:, use, 0] / pixels[use]).sum(1)
+        masks, body = frame.silhouettes.masks, self.body
+        pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+        use = masks.usable & (pixels > 0)
+        flat = np.ascontiguousarray(h.values, dtype=np.float64)
+        counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=self.faces)
+        return (counts[:, use, 0] / pixels[use]).sum(1) + own

@@ -29,7 +29,7 @@ from hypose.tracking.arm_hypotheses import RefineRivals, SolvePrediction
 from hypose.tracking.arm_workspace import ArmReach, in_practice
 from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
-from hypose.tracking.part_colours import LearnColours
+from hypose.tracking.part_colours import learn_colours
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import (
     COMPOSITE,
@@ -104,7 +104,7 @@ def default(
         rows.append(Layer(search, None, keep, name, turn))
     rows.append(Layer(rival_arms, None, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
-    return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)
+    return _solving(replace(base, learn=learn_colours, likes=("colours",)) if colours else base)
 
 
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:

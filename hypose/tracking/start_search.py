@@ -145,8 +145,14 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     except EvidenceError:
         return pose
     bases = pose, known_pose(body, "standing"), known_pose(body, "a")
-    candidates = [pose[None], *(_placed(body, base, hull, 8) for base in bases)]
-    found = _best_refined(body, np.concatenate(candidates), frame).pose
+    candidates = np.concatenate([pose[None], *(_placed(body, base, hull, 8) for base in bases)])
+    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_FIRST_ROUND]
+    # solve the best briefly, and the best of these at length: a wrong heading may overlap better than the right one
+    # until the limbs have moved
+    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, _BRIEF)])
+    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:_SECOND_ROUND]
+    poses = np.stack([f.pose for f in refine(body, moved[order], frame, SETTLING)])
+    found = poses[np.argmin(evidence_energy(body, poses, frame.evidence))]
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 
 
@@ -165,21 +171,6 @@ def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
             "the masks, or start from key points."
         )
     return hull
-
-
-def _best_refined(body: Body, candidates: Array, frame: PreparedFrame) -> PoseFit:
-    """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
-
-    frame: prepared.
-    The _FIRST_ROUND best are solved briefly, the _SECOND_ROUND best of these at length. Why: a wrong heading may
-        overlap better than the right one until the limbs have moved.
-    """
-    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_FIRST_ROUND]
-    brief = SolveSettings(iterations=8, coarse_iterations=8)
-    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
-    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:_SECOND_ROUND]
-    fits = refine(body, moved[order], frame, SETTLING)
-    return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame.evidence)))]
 
 
 def scaled_to_height(body: Body, height: float) -> Body:

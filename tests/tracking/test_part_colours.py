@@ -18,7 +18,7 @@ from hypose.tracking.part_colours import (
     COUNTS,
     PARTS,
     ColourSettings,
-    LearnColours,
+    learn_colours,
     pictured_arms,
 )
 from hypose.tracking.recipes import default
@@ -59,7 +59,7 @@ def learnt(body, standing, painted):
     memory = {}
     for t in range(5):
         frame = prepare(painted(standing, t), body, standing)
-        memory = LearnColours()(memory, standing, Hypotheses.uniform(standing[None]), frame)
+        memory = learn_colours(memory, standing, Hypotheses.uniform(standing[None]), frame)
     return memory
 
 

@@ -29,7 +29,7 @@ from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import PointsOn, fit_proportions, held_dofs, seen_points
 from hypose.tracking.monocular.problem import checked_picture, floor_of
-from hypose.tracking.monocular.proportions import INTERNAL, VOLUMETRIC, proportions, search_factors, without_display
+from hypose.tracking.monocular.proportions import INTERNAL, VOLUMETRIC, proportions, search_factors
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import known_pose
@@ -224,7 +224,8 @@ def _contour_cost(
     frame: with the picture.
     pose: (D,) pose vector, rad and m.
     """
-    light = without_display(template)
+    template.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    light = replace(template, fine=template.coarse)  # contours need the coarse mesh only
 
     def cost(x: Array) -> float:
         body = body_of(light, x)

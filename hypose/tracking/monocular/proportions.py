@@ -66,15 +66,6 @@ def skeleton_only(body: Body) -> Body:
     return replace(body, coarse=nothing, fine=nothing)
 
 
-def without_display(body: Body) -> Body:
-    """Copy the body with its coarse mesh in place of the fine one, so that it is fast to deform.
-
-    Why: contours need the coarse mesh only.
-    """
-    body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
-    return replace(body, fine=body.coarse)
-
-
 def search_factors(
     cost: Callable[[Array], float], start: Array, which: NDArray[np.int64], prior: Proportions, rounds: int = 2
 ) -> Array:
