@@ -407,24 +407,28 @@ def _warnings(fit: RigCalibration, lenses: Sequence[CalibratedLens], views: Sequ
     out = []
     names = fit.rig.names
     for c, name in enumerate(names):
-        if fit.camera_rms[c] > _GOOD_PX:
-            out.append(
-                f"{name}: the boards fit only to {fit.camera_rms[c]:.2f} px; look for a bent board, blurred pictures, "
-                f"videos that are not synchronous, or {_TWO_SIDED}."
-            )
-        own = lenses[c].rms_px
-        if lenses[c].given and own > 2 * _GOOD_PX:
-            out.append(f"{name}: the given lens fits the boards only to {own:.2f} px; calibrate it again.")
-        if np.isfinite(fit.focal_sd[c]) and fit.focal_sd[c] > 0.01 * fit.rig[c].K[0, 0]:
-            out.append(
-                f"{name}: its focal length is uncertain by {100 * fit.focal_sd[c] / fit.rig[c].K[0, 0]:.1f} %; film "
-                "the board tilted and in all corners of the picture."
-            )
-        if not lenses[c].given and views[c].coverage < 0.4:
-            out.append(
-                f"{name}: the board covered {100 * views[c].coverage:.0f} % of the picture; outside, the lens is a "
-                "guess."
-            )
+        own, share, seen = lenses[c].rms_px, fit.focal_sd[c] / fit.rig[c].K[0, 0], views[c].coverage
+        checks = (
+            (
+                fit.camera_rms[c] > _GOOD_PX,
+                f"the boards fit only to {fit.camera_rms[c]:.2f} px; look for a bent board, blurred pictures, videos "
+                f"that are not synchronous, or {_TWO_SIDED}",
+            ),
+            (
+                lenses[c].given and own > 2 * _GOOD_PX,
+                f"the given lens fits the boards only to {own:.2f} px; calibrate it again",
+            ),
+            (
+                share > 0.01,
+                f"its focal length is uncertain by {100 * share:.1f} %; film the board tilted and in all corners of "
+                "the picture",
+            ),
+            (
+                not lenses[c].given and seen < 0.4,
+                f"the board covered {100 * seen:.0f} % of the picture; outside, the lens is a guess",
+            ),
+        )
+        out += [f"{name}: {text}." for true, text in checks if true]
     for c, n in Counter(c for c, _ in fit.dropped).items():
         kept = len(fit.sightings[c])
         if n > 0.3 * (n + kept):

@@ -237,7 +237,8 @@ class _Search:
         both = ((before[..., 2] > SEEN_CONFIDENCE) & (after[..., 2] > SEEN_CONFIDENCE))[..., None]
         velocity = np.where(both, (after - before)[..., :2] / (2 * _STEP), 0.0)
         moment, kind = np.divmod(np.flatnonzero(keep), len(self.names))
-        labels = np.stack([moment, kind, limbs_of(self.names)[kind]], 1)
+        limbs = [next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in self.names]
+        labels = np.stack([moment, kind, np.array(limbs)[kind]], 1)
         sds = uncertainty(bundle, points[keep], velocity, labels)
         known = zip(new, self.lenses, strict=True)
         new = new if free else CameraRig(tuple(replace(c, distortion=d.distortion) for c, d in known))
@@ -364,6 +365,7 @@ class _Search:
 
 
 _BLOCK = 12  # consecutive instants with correlated errors
+# words in the names of key points by which they belong to the head, an arm or a leg; the others belong to the trunk
 _PARTS = (
     ("nose", "eye", "ear", "head", "mouth"),
     ("elbow", "wrist", "pinky", "index", "thumb", "hand"),
@@ -388,14 +390,6 @@ class Uncertainty:
     focal: Array
     late: Array
     later: Array
-
-
-def limbs_of(names: Sequence[str]) -> Array:
-    """Assign each key point to a part of the body by its name.
-
-    Returns: (K,) 0 for head, 1 for arms, 2 for legs, 3 for the trunk.
-    """
-    return np.array([next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in names])
 
 
 def uncertainty(bundle: PointBundle, points: Array, velocity: Array, labels: Array) -> Uncertainty:

@@ -25,7 +25,6 @@ PoseComparison = Callable[[int, int, Array, Array], float]
 """Function of camera c, camera d, d_from_c and another d_from_c that gives how many times more likely the first pose
 is."""
 
-_MAX_FRAMES = 120
 _APART = np.deg2rad(8.0)  # relative poses that differ by more are different answers
 _CAP = 0.02  # of the picture's width: errors of a frame count up to this when relative poses are compared
 _DECIDED = 1.3
@@ -76,7 +75,6 @@ def calibrate_rig(
     links = [link for c, d in pairs if (link := _link(c, d, cameras, sightings, poses, board)) is not None]
     placed = _placed(_tree(links, cameras, sightings, choose, notes), cameras)
     named, boards = _numbered(placed, sightings, poses, board)
-    boards = {f: boards[f] for f in _choose_frames(named, boards, cameras)}
     free = [not n.given for n in lenses]
     for c, seen in enumerate(lens_sightings or ()):
         for f in spread_out(seen, cameras[c].size, 30) if free[c] else ():
@@ -282,24 +280,3 @@ def _numbered(
             for d, t in zip(who, turns, strict=True):
                 out[d][f] = sightings[d][f].turned(board.turns[t])
     return out, boards
-
-
-def _choose_frames(seen: _Sightings, boards: Mapping[int, Array], cameras: Sequence[Camera]) -> list[int]:
-    """Choose frames for the joint refinement: for each pair of cameras those that differ most, then others for the
-    lenses.
-
-    seen: detected boards by camera index and frame.
-    boards: world_from_board (4, 4) by frame.
-    Returns: at most _MAX_FRAMES frame numbers, increasing.
-    """
-    if len(boards) <= _MAX_FRAMES:
-        return sorted(boards)
-    pairs = [(c, d) for c, d in combinations(range(len(cameras)), 2) if set(seen[c]) & set(seen[d])]
-    picked: set[int] = set()
-    for c, d in pairs:
-        both = {f: s for f, s in seen[c].items() if f in seen[d]}
-        picked.update(spread_out(both, cameras[c].size, max(4, _MAX_FRAMES // (2 * len(pairs)))))
-    for c, camera in enumerate(cameras):
-        left = {f: s for f, s in seen[c].items() if f not in picked}
-        picked.update(spread_out(left, camera.size, max(2, (_MAX_FRAMES - len(picked)) // (len(cameras) - c))))
-    return sorted(picked)

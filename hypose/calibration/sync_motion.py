@@ -100,6 +100,14 @@ def point_sd(pixels: Array, confidence: Array) -> float:
     return max(0.016 * float(np.median(known)) if len(known) else 4.0, 0.5)
 
 
+def sampson(fundamental: Array, xa: Array, xb: Array) -> Array:
+    """Compute the signed Sampson distances (...), px, of corresponding points xa, xb (..., 2), px, of two views."""
+    ha, hb = _homogeneous(xa), _homogeneous(xb)
+    lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
+    size = np.sqrt((lines_b[..., :2] ** 2).sum(-1) + (lines_a[..., :2] ** 2).sum(-1))
+    return (hb * lines_b).sum(-1) / np.maximum(size, 1e-12)
+
+
 def keypoint_curves(rig: CameraRig, pixels: Array, confidence: Array, largest: float, *, step: float = _STEP) -> Curves:
     """Compute from key points how much each pair of views disagrees, as a function of the time offset between them.
 
@@ -123,17 +131,12 @@ def keypoint_curves(rig: CameraRig, pixels: Array, confidence: Array, largest: f
         later[b] = [(splines[b](times + lag), seen[b][np.rint(times + lag).astype(int)]) for lag in lags]
     for p, (a, b) in enumerate(pairs):
         f = fundamental(rig, a, b)
-        xa = _homogeneous(smooth[a][times])
-        lines_b = xa @ f.T
         for k, (xb, there) in enumerate(later[b]):
             both = seen[a][times] & there
-            xb = _homogeneous(xb)
-            lines_a = xb @ f
-            size = np.sqrt((lines_b[..., :2] ** 2).sum(-1) + (lines_a[..., :2] ** 2).sum(-1))
             enough = both.sum(0) >= max(8, 0.2 * len(times))
             if not enough.any():
                 continue
-            e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
+            e, both = sampson(f, smooth[a][times], xb)[:, enough], both[:, enough]
             e = np.where(both, e - _running_mean(e, both, scale_px), 0.0)
             # the residual lasts for several frames and all points share the calibration's errors: count a seventh
             mean = np.average(lorentzian((e / (2 * scale_px)) ** 2)[0], weights=both * counts[enough])

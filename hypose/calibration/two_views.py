@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.refine_points import adjust
-from hypose.calibration.sync_motion import Curves, coordinate_descent
+from hypose.calibration.sync_motion import Curves, coordinate_descent, sampson
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.geometry import Array, se3, so3_exp, unit
@@ -220,7 +220,4 @@ def _epipolar(
 
 def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
     """Compute the mean robust Sampson error of corresponding points xa, xb (N, 2), px."""
-    ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
-    lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
-    size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)
-    return float(np.log1p(((hb * lines_b).sum(1) / size / (2 * sd)) ** 2).mean())
+    return float(np.log1p((sampson(fundamental, xa, xb) / (2 * sd)) ** 2).mean())

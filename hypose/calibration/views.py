@@ -263,12 +263,18 @@ def diagnose(views: CameraViews, board: Board) -> str:
         detect = make_detector(other)
         if any(detect(g) is not None for g in grays):
             return words
-    if charuco and _markers_seen(grays, board):
-        return "its markers were seen, but not its corners: check the numbers of columns and rows"
-    if charuco and _markers_seen(grays, inverted):
-        return _COLOURS[board.inverted]
-    if charuco and _markers_seen([np.ascontiguousarray(g[:, ::-1]) for g in grays], board):
-        return "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off"
+    mirrored = [np.ascontiguousarray(g[:, ::-1]) for g in grays]
+    for pictures, other, words in (
+        (grays, board, "its markers were seen, but not its corners: check the numbers of columns and rows"),
+        (grays, inverted, _COLOURS[board.inverted]),
+        (
+            mirrored,
+            board,
+            "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off",
+        ),
+    ):
+        if charuco and _markers_seen(pictures, other):
+            return words
     seen = None if charuco else chessboard_seen(grays, board.size)
     if seen is not None and set(seen) == set(board.size):
         return "a board of this size was seen, but not well enough to measure it"

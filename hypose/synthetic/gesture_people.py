@@ -365,8 +365,7 @@ class Doer:
         self.mirror = np.array([1.0 if leading == "right" else -1.0, 1, 1])
         self.chest = puppet.rotation("chest")
         self.lead_shoulder = puppet.at(f"{self.lead}_shoulder")
-        self.other_shoulder = puppet.at(f"{self.other}_shoulder")
-        self.middle = 0.5 * (self.lead_shoulder + self.other_shoulder)
+        self.middle = 0.5 * (self.lead_shoulder + puppet.at(f"{self.other}_shoulder"))
 
     def way(self, x: float, y: float, z: float, noise: float = 0.0) -> Array:
         """Return the direction or offset (x, y, z), given in the chest's frame and mirrored for left-handed people, in

@@ -1,7 +1,7 @@
 """Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; no external data is needed.
 
 Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run likewise); the
-others are key poses joined smoothly. Angles are anatomical, see performance.CHANNELS.
+others are key poses joined smoothly. Angles are anatomical, see performance.Angles.
 """
 
 from __future__ import annotations

@@ -17,35 +17,6 @@ from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log, unit
 from hypose.synthetic.subjects import SyntheticSubject
 
-CHANNELS = (
-    # the whole body: degrees (lean forwards, list to the left, turn to the left), m per m of leg length
-    *("pelvis_lean", "pelvis_list", "pelvis_turn", "forward", "left", "up"),
-    *("spine_lean", "spine_list", "spine_turn", "neck_lean", "neck_list", "neck_turn"),
-    *(
-        f"{side}_{channel}"
-        for side in ("left", "right")
-        for channel in (
-            *(
-                "clavicle_up",
-                "clavicle_forward",
-                "shoulder_flexion",
-                "shoulder_abduction",
-                "shoulder_internal",
-            ),
-            *(
-                "elbow_flexion",
-                "hip_flexion",
-                "hip_abduction",
-                "hip_internal",
-                "knee_flexion",
-                "ankle_dorsiflexion",
-            ),
-            "heel",  # height of a planted foot's heel, m per m of leg length
-        )
-    ),
-)
-"""Channels of `Angles`. Angles are in degrees, zero standing upright with hanging arms."""
-
 
 class Stance(NamedTuple):
     """Positions of planted feet, in m per m of leg length, relative to the point under the pelvis at rest.
@@ -67,7 +38,12 @@ class Angles:
 
     name: name of the motion.
     times: (T,) s.
-    values: (T,) by channel, one of CHANNELS; missing channels are 0.
+    values: (T,) by channel; missing channels are 0, which is standing upright with hanging arms. Of the whole body:
+        pelvis_lean (forwards), pelvis_list (to the left), pelvis_turn (to the left), degrees; forward, left and up, m
+        per m of leg length. Of the trunk, degrees: spine_ and neck_ lean, list and turn. Of each side (left_, right_),
+        degrees: clavicle_up, clavicle_forward, shoulder_flexion, shoulder_abduction, shoulder_internal, elbow_flexion,
+        hip_flexion, hip_abduction, hip_internal, knee_flexion, ankle_dorsiflexion; and heel, height of a planted
+        foot's heel, m per m of leg length.
     stance: positions of planted feet; the legs follow by inverse kinematics, and leg channels are ignored. None: the
         legs follow the channels, and the body travels as far as its feet push it.
     turn_radius: radius of the circle on which it travels, m (infinite: straight).

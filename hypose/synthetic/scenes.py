@@ -124,6 +124,27 @@ def joined_meshes(parts: Sequence[tuple[Array, NDArray[np.int32]]]) -> tuple[Arr
     return np.concatenate([v for v, _ in parts]), faces.astype(np.int32)
 
 
+# turn about the vertical (degrees), and boxes (lowest and highest corner, m) of each occluder
+_OCCLUDERS = {
+    "table": (
+        218.0 - 270.0,
+        (
+            ((-0.8, -1.9, 0.71), (0.8, -1.2, 0.75)),
+            *(((x, y, 0.0), (x + 0.05, y + 0.05, 0.71)) for x in (-0.78, 0.73) for y in (-1.88, -1.27)),
+            ((-0.75, -1.86, 0.3), (0.75, -1.83, 0.71)),  # its front board hides most
+        ),
+    ),
+    "treadmill": (
+        0.0,
+        (
+            *(((x, -0.75, 0.96), (x + 0.05, 0.35, 1.01)) for x in (-0.58, 0.53)),
+            *(((x, y, 0.0), (x + 0.05, y + 0.05, 0.96)) for x in (-0.58, 0.53) for y in (-0.75, 0.3)),
+            ((-0.58, -0.8, 1.0), (0.58, -0.75, 1.2)),
+        ),
+    ),
+}
+
+
 def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
     """Make the mesh of an occluder in the world.
 
@@ -135,22 +156,11 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
     """
     if name == "":
         return None
-    turn = np.eye(3)
-    if name == "table":
-        boxes = [((-0.8, -1.9, 0.71), (0.8, -1.2, 0.75))]
-        boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.71)) for x in (-0.78, 0.73) for y in (-1.88, -1.27)]
-        boxes.append(((-0.75, -1.86, 0.3), (0.75, -1.83, 0.71)))  # its front board hides most
-        turn = so3_exp([0.0, 0.0, np.radians(218.0 - 270.0)])
-    elif name == "treadmill":
-        boxes = []
-        for x in (-0.58, 0.53):
-            boxes.append(((x, -0.75, 0.96), (x + 0.05, 0.35, 1.01)))
-            boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.96)) for y in (-0.75, 0.3)]
-        boxes.append(((-0.58, -0.8, 1.0), (0.58, -0.75, 1.2)))
-    else:
-        raise InputError(f"There is no occluder {name!r}; the occluders are table and treadmill.")
+    if name not in _OCCLUDERS:
+        raise InputError(f"There is no occluder {name!r}; the occluders are {' and '.join(_OCCLUDERS)}.")
+    turn, boxes = _OCCLUDERS[name]
     vertices, faces = joined_meshes([box_mesh(low, high) for low, high in boxes])
-    return vertices @ turn.T, faces
+    return vertices @ so3_exp([0.0, 0.0, np.radians(turn)]).T, faces
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
@@ -375,15 +385,19 @@ class Scene(OfPerformance):
         p = self.performance
         return self.subject.skin(p.rotations[index], p.root[index])
 
+    def delivered(self, view: int, index: int) -> int:
+        """Return `index`, or where the camera drops that frame, the last one before that it does not drop."""
+        while index > 0 and self._dropped[view, index]:
+            index -= 1
+        return index
+
     def shown(self, view: int, index: int) -> int:
         """Return the frame that camera `view` shows as its frame `index`.
 
         The frame is earlier than `index` by the camera's delay (Corruptions.desync); in place of a dropped frame, it
         is the last one delivered before.
         """
-        while index > 0 and self._dropped[view, index]:
-            index -= 1
-        return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])
+        return max(0, self.delivered(view, index) - self.corruption.desync[view % len(self.corruption.desync)])
 
     def dead(self, view: int, index: int) -> bool:
         """Return whether the camera's images are black at frame `index`."""
@@ -477,8 +491,7 @@ class Scene(OfPerformance):
         camera = self.rig[view]
         if self.dead(view, index):
             return np.zeros((camera.size[1], camera.size[0], 3), np.uint8)
-        while index > 0 and self._dropped[view, index]:
-            index -= 1
+        index = self.delivered(view, index)
         backdrop, s = self._backdrops[view], self.shown(view, index)
         picture = backdrop.image.copy()
         people = []
