@@ -38,7 +38,7 @@ from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult
 from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.sources import FrameList
@@ -414,7 +414,7 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         found = live_rig(folder, {})
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
         capture = CaptureOptions(found.rate, 0.0, found.silhouettes)
-        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(capture, person), [listener])
+        engine = LiveEngine(found.rig, found.views, capture, person, listeners=[listener])
         try:
             engine.start()
             engine.ended.wait(seconds + 10)

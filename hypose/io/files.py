@@ -492,13 +492,13 @@ def _held(path: Path, option: str) -> int | None:
         except FileNotFoundError:
             pass  # another run has just ended and removed it: there is a new one to lock
         except OSError as error:
-            who = _who(file) if error.errno in _TAKEN else None
+            said = os.read(file, 200).decode(errors="replace").strip()
             os.close(file)
-            if who is None:
+            if error.errno not in _TAKEN:
                 return None
             raise InputError(
-                f"{path.parent} is being written to by another run of hypose ({who}); wait for its end, or give "
-                f"another folder with {option}."
+                f"{path.parent} is being written to by another run of hypose ({said or 'its name is not known'}); wait "
+                f"for its end, or give another folder with {option}."
             ) from None
         os.close(file)
 
@@ -515,15 +515,6 @@ def _lock(file: int) -> None:
         import fcntl
 
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _who(file: int) -> str:
-    """Read from an open lock file which process holds it."""
-    with contextlib.suppress(OSError):
-        said = os.read(file, 200).decode(errors="replace").strip()
-        if re.fullmatch(r"process \d{1,10} on [\w.-]{1,100}", said):
-            return said
-    return "its name is not known"
 
 
 # ---- names of files and cameras --------------------------------------------------------------------------------------

@@ -190,7 +190,7 @@ class ClipState:
 
     def frames(self, numbers: range) -> Iterator[Frame]:
         """Read the frames with these numbers once more, forwards or backwards."""
-        return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who)
+        return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who.body, self.who.start)
 
     def with_estimates(self, estimates: Sequence[FrameEstimate], notes: Sequence[str]) -> ClipState:
         """Return the clip with other estimates of its one person, and more notes."""
@@ -297,7 +297,7 @@ def track_clip(clip: ClipState, checkpoint: bool = True) -> ClipState:
     source, rest = clip.source, range(session.done, len(clip.source))
     last = source.frame(rest.start - 1) if rest and rest.start else None
     if clip.finder is None:
-        frames = look_ahead(tracked_frames(source, rest, clip.tracker.recipe.needs, clip.who))
+        frames = look_ahead(tracked_frames(source, rest, clip.tracker.recipe.needs, clip.who.body, clip.who.start))
     else:
         frames = (source.frame(t) for t in rest)
     with contextlib.closing(frames):

@@ -29,7 +29,7 @@ from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     join_observations,

@@ -23,7 +23,6 @@ from hypose.pipeline.settings import SETTINGS
 if TYPE_CHECKING:  # recordings are opened elsewhere
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_views import ViewSource
-    from hypose.pipeline.subject import TrackedSubject
 
 
 @runtime_checkable
@@ -113,14 +112,15 @@ class PictureFrames:
 
 
 def tracked_frames(
-    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+    source: FrameSource, indices: range, needs: Sequence[str], body: Body, start: Array
 ) -> Iterator[Frame]:
     """Yield the frames that a recipe tracks, with the evidence that it needs.
 
     source: frames by number.
     indices: frames, forwards or backwards.
     needs: kinds of evidence that the recipe uses, as in Recipe.
-    subject: the person; its body at the start pose shows where the skin colours are learned.
+    body: of the person.
+    start: (D,) pose in the first frame, which shows where the skin colours are learned.
     Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
         colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
     """
@@ -136,7 +136,7 @@ def tracked_frames(
     ):
         yield from (source.frame(i) for i in indices)
         return
-    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
+    with contextlib.closing(ColourDetections(source, body, start)) as coloured:
         yield from (coloured.frame(i) for i in indices)
 
 

@@ -200,17 +200,20 @@ def track_keypoint_clip(
     free = _together(body, first, evidence, frame_rate, settings)
     own = np.zeros((len(terms), body.skeleton.dof, body.skeleton.dof))
     around = np.full((len(terms), len(body.skeleton.joint_names), 3, 3), np.nan, np.float32)
-    for t in np.flatnonzero(known):
-        own[t] = _information(body, free[t], evidence[t])
+    still, priors = SolveSettings(iterations=0, coarse_iterations=0), (anatomical_prior(body.skeleton, keypoints=True),)
+    for t in np.flatnonzero(known):  # what a frame by itself shows of its pose
+        own[t] = fit_pose(body, free[t], evidence[t], priors=priors, options=still).information
         around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
     around = from_neighbours(around, frame_rate)
+    frames = np.arange(len(known))
+    last_known = np.maximum.accumulate(np.where(known, frames, -1))
     motion = Motion(
         body.skeleton,
-        np.arange(len(terms)) / frame_rate,
+        frames / frame_rate,
         body.joints(free),
         free,
         around,
-        _lost(known, EXTRAPOLATE_S * frame_rate),
+        frames - last_known > EXTRAPOLATE_S * frame_rate,
         ~known,
         np.array([int(points.any(1).sum()) for points in seen]),
         np.full(len(terms), np.nan),
@@ -340,19 +343,3 @@ def _together(
 
     priors = (anatomical_prior(body.skeleton, keypoints=True),)
     return at_own_pace(body, _in_a_row(body, given), evidence, frame_rate, settings, priors, _ALL)
-
-
-def _information(body: Body, pose: Array, evidence: Sequence[Term]) -> Array:
-    """Compute the information (D, D) that a frame by itself gives on its pose.
-
-    pose: (D,) at which it is computed; evidence: terms of the frame.
-    """
-    still = SolveSettings(iterations=0, coarse_iterations=0)
-    priors = (anatomical_prior(body.skeleton, keypoints=True),)
-    return fit_pose(body, pose, evidence, priors=priors, options=still).information
-
-
-def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:
-    """Mark the frames (T,) that are more than `patience` frames after the last known one."""
-    frames = np.arange(len(known))
-    return frames - np.maximum.accumulate(np.where(known, frames, -1)) > patience

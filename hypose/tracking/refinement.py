@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -261,7 +261,7 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     information: (D, D) inverse covariance of the pose, see `PoseFit.information`.
     evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
     """
-    factor = _factors(evidence, tuple(body.skeleton.joint_names))
+    factor = np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in body.skeleton.joint_names])
     curvature = body.skeleton.informed_joint_covariances(pose, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
@@ -290,12 +290,6 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
 
 NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
 """s to the furthest neighbours that are used; m/s^2, usual acceleration of a limb's joint"""
-
-
-@lru_cache(8)
-def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
-    """Look up CURVATURE_FACTOR (J,) of each joint for a kind of evidence."""
-    return np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in joint_names])
 
 
 def joint_group(name: str) -> str:

@@ -12,14 +12,15 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
 from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png, write_millimetres_png
-from hypose.io.sensors.skeleton_files import FolderWriter, read_skeletons
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     MAX_SKELETON_LINE,
+    FolderWriter,
     StreamRows,
     build_stream,
     common_times,
     format_line,
     parse_line,
+    read_skeletons,
     resample,
 )
 from tests import missing

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import gzip
 import html
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -144,7 +142,8 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
         parts.append("<h2>Joint angles</h2>" + _figure(angle_chart(m), names))
     parts.append(gait_section(m, what.body))
     if what.body is not None:
-        parts.append("<h2>Subject</h2>" + _subject(what.body))
+        sizes = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(what.body)), (), (1,))
+        parts.append(f'<h2>Subject</h2>{sizes}<p class="dim">Between joint centres; limbs: mean of both sides.</p>')
     if what.files:
         parts.append("<h2>Files</h2>" + html_table((html.escape(n), html.escape(t)) for n, t, _ in what.files))
     parts.append(_origin(what))
@@ -152,32 +151,25 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
 
 
 def _head(what: ViewResult) -> str:
-    """Build the title, the assessment as a coloured sentence, and a line with the day of the recorded files, recipe
-    and version.
-    """
+    """Build the title, the assessment as a coloured sentence, and a line with recipe and version."""
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
-    about = [f"recipe {recipe}", f"hypose {__version__}"]
-    with contextlib.suppress(OSError, IndexError):
-        views = what.recording.views if what.recording else ()
-        files = [path for view in views for path in view.files.values()]
-        written = time.localtime(files[0].stat().st_mtime)
-        about.insert(0, time.strftime("files of %Y-%m-%d", written))
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")
     return (
         f"<h1>{html.escape(what.title)}</h1>"
         + (f'<p class="{tone}">{html.escape(a.sentence)}</p>' if a is not None else "")
-        + f'<p class="dim">{html.escape(" · ".join(about))}</p>'
+        + f'<p class="dim">recipe {html.escape(recipe)} · hypose {__version__}</p>'
     )
 
 
 def _cards(what: ViewResult) -> str:
     """Build the figures of the result, each with its usual value."""
     s = summarize(what.motion)
-    cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
-    if what.recording is not None:
-        cards.append((str(len(what.recording.rig)), "views"))
-    cards.append((f"{s.lost}", "frames lost (a good clip: none)"))
-    cards.append((f"{s.extrapolated}", "frames extrapolated (a good clip: none)"))
+    cards = [
+        (f"{s.frames}", f"frames, {s.seconds:.1f} s"),
+        *([] if what.recording is None else [(str(len(what.recording.rig)), "views")]),
+        (f"{s.lost}", "frames lost (a good clip: none)"),
+        (f"{s.extrapolated}", "frames extrapolated (a good clip: none)"),
+    ]
     if np.isfinite(s.iou):
         cards.append((f"{s.iou:.3f}", f"mean IoU (.85 and more is usual for a good fit; worst {s.worst_iou:.2f})"))
     if np.isfinite(s.sd_mm):
@@ -214,11 +206,6 @@ def gait_section(motion: Motion, body: Body | None) -> str:
         caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
         out += _figure(cycle_chart(cycles), caption)
     return out
-
-
-def _subject(body: Body) -> str:
-    table = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(body)), (), (1,))
-    return f'{table}<p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
 def _origin(what: ViewResult) -> str:

@@ -19,7 +19,6 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from hypose.app.live import simulated_sensors
-from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.reports.result_pictures import jpeg
@@ -148,7 +147,7 @@ class FuseTopic(LiveTopic):
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MAX_SIMULATED)
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
-        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record))
+        server = LiveServer(udp=udp, ws=ws, osc=osc, record=record)
         try:
             await server.start()
         except InputError:
@@ -159,7 +158,7 @@ class FuseTopic(LiveTopic):
         server.listeners.append(self._tell)
         if seen is not None:
             sending = asyncio.ensure_future(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
-            parts.push_async_callback(_cancel, sending)
+            parts.callback(sending.cancel)
         running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
         return running | {"record": _reported(record)}
 
@@ -170,19 +169,13 @@ class FuseTopic(LiveTopic):
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""
         await server.stop()
-        if (record := _reported(server.options.record)) is not None:
+        if (record := _reported(server.record)) is not None:
             self._words.append(server.unrecorded or f"Recorded as {record}.")
 
 
 def _as_topic(line: str) -> str:
     """Return a line of JSON of the live outputs as a message to pages."""
     return line.replace('"type":', '"t":', 1)
-
-
-async def _cancel(task: asyncio.Task[None]) -> None:
-    """Cancel a task and wait for its end."""
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
 
 
 class CameraTopic(LiveTopic):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,10 +27,10 @@ from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError, visible
+from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import MOTION_FORMATS
-from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
+from hypose.io.motions.results import ResultsFolder, json_values, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
@@ -228,8 +227,8 @@ def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _header(result: ViewResult) -> dict[str, Any]:
-    m, s = result.motion, result.motion.skeleton
-    truth = result.truth
+    m, s, truth, recording = result.motion, result.motion.skeleton, result.truth, result.recording
+    seen = () if recording is None else zip(recording.views, recording.rig, strict=True)
     return {
         "version": __version__,
         "title": result.title,
@@ -244,7 +243,19 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "floor": _floor(m),
         "formats": list(MOTION_FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
-        "cameras": _cameras(result),
+        "cameras": [
+            {
+                "name": c.name,
+                "K": c.K,
+                "distortion": c.distortion,
+                "fisheye": c.fisheye,
+                "camera_from_world": c.camera_from_world,
+                "size": list(c.size),
+                "image_shift": list(v.image_shift),
+                "pictures": v.has_pictures,
+            }
+            for v, c in seen
+        ],
         "subject": subject_rows(result.body) if result.body is not None else [],
         "files": [{"name": n, "what": w, "bytes": b} for n, w, b in result.files],
         "notes": list(result.notes),
@@ -262,25 +273,6 @@ def _header(result: ViewResult) -> dict[str, Any]:
     }
 
 
-def _cameras(result: ViewResult) -> list[dict[str, Any]]:
-    """Describe the cameras for the header; empty where they are not known."""
-    if result.recording is None:
-        return []
-    return [
-        {
-            "name": c.name,
-            "K": c.K,
-            "distortion": c.distortion,
-            "fisheye": c.fisheye,
-            "camera_from_world": c.camera_from_world,
-            "size": list(c.size),
-            "image_shift": list(v.image_shift),
-            "pictures": v.has_pictures,
-        }
-        for v, c in zip(result.recording.views, result.recording.rig, strict=True)
-    ]
-
-
 def _floor(motion: Motion) -> float:
     """Estimate the height of the floor, m, world: 0, unless the feet are clearly elsewhere.
 
@@ -291,19 +283,6 @@ def _floor(motion: Motion) -> float:
     low = low[np.isfinite(low)]
     standing = float(np.percentile(low, 5)) - _ANKLE_M if len(low) else 0.0
     return 0.0 if abs(standing) < 0.25 else standing
-
-
-def json_values(value: Any) -> Any:
-    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_values(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {visible(str(k)): json_values(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_values(v) for v in value]
-    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 # ---- view result ---------------------------------------------------------------------------------------------------

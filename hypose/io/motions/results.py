@@ -26,7 +26,7 @@ from hypose import __version__
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.motion import Modes, Motion, modes_arrays
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError
+from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array
 from hypose.io.files import DAMAGED, atomic_path, natural_key, open_file, unreadable, write_text
 from hypose.json_text import parse_json
@@ -92,6 +92,19 @@ def to_json(value: Any) -> str:
 
     text = json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain)
     return text.encode("utf-8", "backslashreplace").decode() + "\n"
+
+
+def json_values(value: Any) -> Any:
+    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_values(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {visible(str(k)): json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(v) for v in value]
+    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ export function camerasLive(root: HTMLElement): Screen {
     answered = () => (start.disabled = false);
     form.replaceChildren(
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
-      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: one of this computer (click in a field for their list, or write its number), or the address of a stream."),
+      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (a field lists those that were found), or the address of a stream."),
       where,
       devices,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
