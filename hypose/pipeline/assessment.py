@@ -217,7 +217,7 @@ def assess(
     low_confidence = motion.low_confidence_joints
     if low_confidence is not None and motion.error_probability is not None and (~gone).any():
         least = 0.0 if looks else SETTINGS.verdict_limb_p
-        found += _too_doubtful(motion, low_confidence, ~gone, least, cure or _cure(motion))
+        found += _unreliable_joints(motion, low_confidence, ~gone, least, cure or _cure(motion))
     if any(f.severity == INVALID for f in found):
         return Assessment(UNTRUSTED, tuple(found))
     frames = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence.astype(bool)
@@ -245,10 +245,10 @@ def _worth_a_look(motion: Motion, low_confidence: NDArray[np.bool_] | None, stre
     return float(np.where(low_confidence[at], motion.error_probability[at], 0.0).sum(1).mean()) >= LOOK_P
 
 
-def _too_doubtful(
+def _unreliable_joints(
     motion: Motion, low_confidence: NDArray[np.bool_], seen: NDArray[np.bool_], least: float, cure: str
 ) -> list[Finding]:
-    """Make findings on joints that are too doubtful in the frames in which the person is seen.
+    """Make findings on joints that are likely wrong in the frames in which the person is seen.
 
     low_confidence: (T, J).
     seen: (T,) frames in which the person is seen.

@@ -348,7 +348,7 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
     if clip.finder is None:
         return [clip]
     out = list[ClipState]()
-    for p in (p for p in clip.people if p.requested):
+    for p in clip.finder.asked_for(clip.people):
         frames, own = clip.finder.own_clip(p, clip.people)
         shared, results = len(clip.people) > 1 and p.present[0], clip.results
         if results is not None and clip.folders:

@@ -352,8 +352,6 @@ class PeopleFinder:
         if self.points is None:
             for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
                 people[k] = self._at_start(people[k].name, subject)
-        for k, p in enumerate(people):
-            p.requested = self.count is None or k < self.count
         return people
 
     def _at_start(self, name: str, subject: TrackedSubject) -> TrackedPerson:
@@ -530,22 +528,16 @@ class PeopleFinder:
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
-        new.requested = self._makes_room(name, people)
         people.append(new)
         return True
 
-    def _makes_room(self, name: str, people: Sequence[TrackedPerson]) -> bool:
-        """Return whether the result of a new person is wanted; a wanted person replaces another who is not."""
-        if self.count is None or len(people) < self.count:
-            return True
-        names = {w.name for w in self.wanted}
-        others = [p for p in people if p.requested and p.name not in names]
-        if name not in names or not others:
-            return False
-        others[-1].requested = False
-        return True
-
     # ---- after tracking ----------------------------------------------------------------------------------------
+
+    def asked_for(self, people: Sequence[TrackedPerson]) -> list[TrackedPerson]:
+        """List the people whose results are asked for: those of `wanted` before others, the first found first."""
+        names = [w.name for w in self.wanted]
+        first = sorted(people, key=lambda p: p.name not in names)[: self.count]
+        return [p for p in people if p in first]
 
     def own_clip(self, p: TrackedPerson, people: Sequence[TrackedPerson]) -> tuple[ChangedFrames, TrackedPerson]:
         """Return the frames as evidence for one of the people, and the person without mask changes that come from other

@@ -155,7 +155,6 @@ class TrackedPerson:
     name: name of the person; empty where there is only one.
     subject: body and start.
     member: tracker and its state after the last tracked frame.
-    requested: the result is wanted.
     estimates: estimates of each frame so far.
     present: for each frame so far, whether the person is there.
     hidden: for each frame so far, whether others hide the person from all views but one.
@@ -168,7 +167,6 @@ class TrackedPerson:
     name: str
     subject: TrackedSubject
     member: Member
-    requested: bool = True
     estimates: list[FrameEstimate] = field(default_factory=list)
     present: list[bool] = field(default_factory=list)
     hidden: list[bool] = field(default_factory=list)
@@ -381,7 +379,7 @@ class TrackingSession:
             arrays |= {f"{k}_done_{n}": v for n, v in done.items()}
             arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
             arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
-            about.append({n: getattr(p, n) for n in ("name", "gone", "track", "requested", "said")})
+            about.append({n: getattr(p, n) for n in ("name", "gone", "track", "said")})
             about[-1] |= {"there": p.member.present, "clothes": p.appearance.about}
         Checkpoint(self.done, arrays, {"people": about}, self.identity).save(path)
 
@@ -399,7 +397,7 @@ class TrackingSession:
             member = Member(tracker_of(subject), TrackerState.from_arrays(own), bool(about["there"]))
             p = TrackedPerson(about["name"], subject, member, estimates=estimates_from_arrays(done) if done else [])
             p.present, p.hidden = own["present"].tolist(), own["hidden"].tolist()
-            p.gone, p.track, p.requested = int(about["gone"]), about["track"], about["requested"]
+            p.gone, p.track = int(about["gone"]), about["track"]
             p.appearance, p.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
             self.people.append(p)
         self.candidates = list(saved.arrays["candidates"])
