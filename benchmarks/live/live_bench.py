@@ -26,7 +26,7 @@ from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.track import track
@@ -217,9 +217,9 @@ def _run(
     addresses, begin = here.recv()
     views = tuple(replace(v, address=a) for v, a in zip(cameras.views, addresses, strict=True))
     kept = _Kept()
-    options = LiveTrackingOptions(CaptureOptions(rate, silhouettes=cameras.silhouettes))
+    options = CaptureOptions(rate, silhouettes=cameras.silhouettes)
     listeners = [x for x in (kept if keep else None, listener) if x is not None]
-    engine = LiveEngine(cameras.rig, views, options, listeners)
+    engine = LiveEngine(cameras.rig, views, options, listeners=listeners)
     try:
         engine.start()
         until = time.monotonic() + 60

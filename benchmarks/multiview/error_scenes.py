@@ -171,6 +171,12 @@ class Tracked:
         assert added.angle_sd is not None
         return added.joint_covariance[..., 0, 0].astype(np.float64), added.angle_sd.astype(np.float64) ** 2
 
+    @property
+    def on_top(self) -> Array:
+        """(T, J, 3, 3) m^2: what is added to a^2 V + b^2: the systematic error, and that of joints elsewhere."""
+        assert self.motion.systematic_covariance is not None
+        return self.motion.systematic_covariance + self.elsewhere[0][..., None, None] * np.eye(3)
+
 
 def cases_of(seed: int) -> list[str]:
     """The cases that a seed shows."""

@@ -23,7 +23,8 @@ from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoints import common_name
-from hypose.geometry import Array, procrustes, transform
+from hypose.fusion.register import robust_motion
+from hypose.geometry import Array, transform
 from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
@@ -309,15 +310,7 @@ def _rigid(source: Array, target: Array) -> Array:
     both = np.asarray(np.isfinite(source).all(-1) & np.isfinite(target).all(-1))
     if both.sum() < 4:
         return np.eye(4)
-    a, b = source[both], target[both]
-    weights = np.ones(len(a))
-    found = np.eye(4)
-    for _ in range(8):
-        found, _ = procrustes(a, b, weights)
-        distance = np.linalg.norm(transform(found, a) - b, axis=1)
-        scale = 2 * max(1e-6, float(np.median(distance)))
-        weights = np.minimum(1, scale / np.maximum(distance, 1e-12))
-    return found
+    return robust_motion(source[both], target[both], np.ones(both.sum()), 8)[0]
 
 
 def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str]:

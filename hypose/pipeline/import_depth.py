@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import (
     CoarseAlignment,
-    in_camera,
-    refine_registration,
     rough_registration,
 )
 from hypose.cameras.camera import Camera, CameraRig
@@ -27,17 +25,17 @@ from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
-from hypose.io.file_names import file_name, text_of
+from hypose.io.files import file_name, text_of
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
+from hypose.pipeline.moved_sensors import solve_places
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList
-from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, estimate_subject
 from hypose.pipeline.track import track_source
 from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
@@ -355,17 +353,11 @@ def register_depth(
         progress("together", n, SETTINGS.placing_rounds)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
-        how = SubjectOptions(frame_rate=frame_rate, seed=seed)
-        estimate = estimate_subject(frames.__getitem__, len(frames), how)
-        subject = TrackedSubject(estimate.body, None, estimate.start, ())
-        source = FrameList(frames, frame_rate)
-        tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
-        poses = tracked.poses
-        assert poses is not None
-        chosen = different_poses(estimate.body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
-        depths = [[clip[paired[t][k]].the(Depth) for t in chosen] for k, clip in enumerate(clips)]
-        seen = [[in_camera(d.surface, d.rig[0].camera_from_world) for d in own] for own in depths]
-        cameras = refine_registration(estimate.body, poses[chosen], seen, cameras)
+        found = track_source(FrameList(frames, frame_rate), frame_rate, options, find_places=False)
+        motion = _whole(found)
+        assert motion.poses is not None
+        about = (found.body, motion.poses, 1 - motion.cost, cameras, SETTINGS.placing_frames)
+        cameras = solve_places(frames.__getitem__, *about)
     progress("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
     return RegisteredSensors(rig, seconds, tuple(rough))

@@ -23,7 +23,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.moved_sensors import moved_sensors
-from hypose.pipeline.passes import ClipState, Pass, find_people, session_of, track_clip, track_rest
+from hypose.pipeline.passes import ClipState, Pass, find_people, solve_keypoints, track_clip
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList, FrameSource, RecordedFrames, placed_source
 from hypose.pipeline.subject import measured_height
@@ -153,7 +153,7 @@ def check_evidence(clip: ClipState) -> ClipState:
 def place_sensors(clip: ClipState) -> ClipState:
     """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
     done = clip.estimates
-    if not done or not clip.complete or clip.finder is not None:
+    if not clip.complete or clip.finder is not None:
         return clip
     poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
     places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
@@ -165,7 +165,7 @@ def place_sensors(clip: ClipState) -> ClipState:
         subject = clip.find(clip)
         clip = replace(clip, notes=subject.notes)
     clip = replace(clip, people=(clip.at_start(subject),))
-    return track_rest(clip, session_of(clip, checkpoint=False))
+    return track_clip(clip, checkpoint=False)
 
 
 def check_height(clip: ClipState) -> ClipState:
@@ -173,7 +173,7 @@ def check_height(clip: ClipState) -> ClipState:
     depth show; add the findings.
     """
     o, estimates = clip.options, clip.estimates
-    if clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
+    if clip.given or clip.who.keypoints is not None or clip.finder is not None:
         return clip
     body = clip.who.body
     if o.height is None and clip.body is None:
@@ -196,3 +196,5 @@ def check_height(clip: ClipState) -> ClipState:
 
 CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, check_height)
 """Passes of one or more people together, with the checks of a recording's cameras."""
+CHECKED_KEYPOINTS: tuple[Pass, ...] = (check_evidence, find_people, solve_keypoints)
+"""The same where the key points of all frames are solved together; then the passes `SOLVED_TOGETHER` run."""

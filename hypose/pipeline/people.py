@@ -314,7 +314,7 @@ class PeopleFinder:
         # the last frame for which a person's place is given
         named = round(max((w.time for w in self.wanted if w.place is not None), default=0.0) * self.frame_rate)
         named, numbers = range(last, min(named + 1, len(self.source)), self._look_every), self._fit_numbers(0)
-        paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
+        paths = lasting(follow_places(self.source.frame, sorted({*looks, *named, *numbers}), self.frame_rate), looks)
         if not paths:
             if self.source.frame(0).kind == "depth":
                 raise EvidenceError(
@@ -356,10 +356,6 @@ class PeopleFinder:
 
     def _at_start(self, name: str, subject: TrackedSubject) -> TrackedPerson:
         return TrackedPerson.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
-
-    def _places(self, numbers: Sequence[int]) -> list[Path]:
-        """Follow all people in the hull through the frames `numbers`."""
-        return follow_places(self.source.frame, numbers, self.frame_rate)
 
     def _stood(self, path: Path, t: int) -> Array:
         """Return where (2,) m a person stood in about a frame; NaN where not known."""
@@ -518,7 +514,7 @@ class PeopleFinder:
         """Fit a new person and add them to `people`; return False where no body can be fitted."""
         numbers = self._fit_numbers(t)
         # after this frame nothing is tracked yet: people are separated by the hull alone
-        paths = self._places(numbers)
+        paths = follow_places(self.source.frame, numbers, self.frame_rate)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):
             return False

@@ -60,14 +60,16 @@ def correct_left_right(
     """
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
-    while (at := _most_suspicious(out, tried)) is not None:
-        retracked = _retracked_from(tracker, out, at, frames, memory)
-        if retracked.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and retracked.first == 0):
-            tried.update(retracked.compared)  # frames that fit equally well both ways are tried once
+    # first the frame in which the body with exchanged sides, or found again, is better by most
+    while suspicious := [(e.exchanged, t) for t, e in enumerate(out) if e.exchanged > 0 and t not in tried]:
+        at = max(suspicious)[1]
+        first, better, won, compared = _retracked_from(tracker, out, at, frames, memory)
+        if won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and first == 0):
+            tried.update(compared)  # frames that fit equally well both ways are tried once
             continue
         tried.add(at)
-        out[retracked.first : retracked.first + len(retracked.better)] = retracked.better
-        replaced[retracked.first : retracked.first + len(retracked.better)] = True
+        out[first : first + len(better)] = better
+        replaced[first : first + len(better)] = True
     return out, runs(replaced)
 
 
@@ -85,7 +87,7 @@ def retrack_start(
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
     better, won, _ = _while_better(
-        tracker, start, out, range(at - 1, -1, -1), with_last(frames_backwards(frames, at, SETTINGS.sides_block)), False
+        tracker, start, out, range(at - 1, -1, -1), with_last(frames_backwards(frames, at)), False
     )
     if len(better) < at or won < SETTINGS.sides_least_back * pace:  # it does not reach the first frame
         return out, range(0)
@@ -94,44 +96,20 @@ def retrack_start(
     return out, range(max(moved, default=-1) + 1)
 
 
-def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
-    """Return the frame in which the body with exchanged sides, or found again, is better by most; None where none is
-    left.
-    """
-    better = [(e.exchanged, t) for t, e in enumerate(estimates) if e.exchanged > 0 and t not in tried]
-    return max(better)[1] if better else None
-
-
-@dataclass(frozen=True)
-class _Retracked:
-    """Frames that were tracked again.
-
-    first: number of the first frame of `better`.
-    better: new estimates.
-    won: sum over their frames of the decrease of 1 - IoU.
-    compared: all frames that were tracked for it.
-    """
-
-    first: int
-    better: list[FrameEstimate]
-    won: float
-    compared: range
-
-
 def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
-) -> _Retracked:
-    """Track again from frame `at` in both directions, starting with exchanged sides, or where the lost body was found;
-    return the frames that become better.
+) -> tuple[int, list[FrameEstimate], float, range]:
+    """Track again from frame `at` in both directions, starting with exchanged sides, or where the lost body was found.
+
+    Returns: number of the first frame that becomes better, new estimates from there on, the sum over these frames of
+        the decrease of 1 - IoU, and all frames that were tracked for it.
     """
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, frames_forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(
-        tracker, start, old, back, with_last(frames_backwards(frames, at, SETTINGS.sides_block))
-    )
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, with_last(frames_backwards(frames, at)))
     compared = range(at - before, at + after)
-    return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
+    return at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared
 
 
 def _while_better(
@@ -355,7 +333,7 @@ def _looked_back(
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(_SETTINGS.longest * pace)), -1)
-    with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1, SETTINGS.sides_block))) as coming:
+    with contextlib.closing(look_ahead(frames_backwards(frames, stop + 1))) as coming:
         for t, (frame, last) in zip(most, with_last(coming), strict=False):
             prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
             if not prepared.silhouettes.seen or frame.kind == "depth" or not _known(old[t]):

@@ -132,7 +132,7 @@ class TrackResult:
         save_body(self.body, results.file("body.npz"))
         results.write_json("provenance.json", self.motion.provenance)
         there = {"there": self.spans} if self.name else {}
-        results.write_json(ASSESSMENT_FILE, {**self.assessment.with_joints(self.motion), **there})
+        results.write_json(ASSESSMENT_FILE, {**self.assessment.document(self.motion), **there})
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
@@ -183,7 +183,7 @@ def load_tracked(folder: str | Path) -> TrackResult:
     judged = load_assessment(Path(folder))
     if judged is None:
         path = Path(folder) / ASSESSMENT_FILE
-        raise InputError(f"{path} is missing, or not an assessment of hypose; track the recording again.")
+        raise InputError(f"{path} is missing or is not an assessment of hypose; track the recording again.")
     return TrackResult(motion, body, True, (), judged=judged, findings=judged.findings)
 
 

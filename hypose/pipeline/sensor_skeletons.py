@@ -29,7 +29,7 @@ from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     join_observations,
@@ -175,9 +175,7 @@ def skeleton_rows(
     own = np.where((state == TRACKED)[..., None], own, np.nan)
     sensors = world.shape[1]
     enough = np.isfinite(own[..., 0]).sum(0) >= SETTINGS.sensor_fewest  # (K, 15)
-    offset = np.zeros((sensors, 15, 3))
-    for k, j in np.argwhere(enough):
-        offset[k, j] = np.nanmedian(own[:, k, j], axis=0)
+    offset = np.nanmedian(np.where(enough[..., None], own, 0.0), axis=0)
     there = np.isfinite(world).all(-1) & enough
     weight = np.where(there, SETTINGS.sensor_weight * state / TRACKED, 0.0)
     flat = world.reshape(len(world), -1, 3)

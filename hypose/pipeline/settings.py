@@ -95,7 +95,6 @@ class PipelineSettings:
     background_largest_lag_s: Largest delay of one camera relative to another, s.
     background_sure, background_gain: Largest standard deviation (frames) of an offset that is used, and least gain of
         half a log-likelihood compared with no offsets.
-    background_scale_px: Usual error of an outline when offsets are estimated, px.
     engine_most_people: Most people that can be tracked at once: no computer keeps pace with more.
     engine_history: Mask areas that define the usual area, one every fifth instant.
     engine_latencies: Instants whose latencies are kept.
@@ -338,7 +337,6 @@ class PipelineSettings:
     background_largest_lag_s: float = 0.4
     background_sure: float = 0.2
     background_gain: float = 6.0
-    background_scale_px: float = 1.5
     engine_most_people: int = 8
     engine_history: int = 11
     engine_latencies: int = 1800

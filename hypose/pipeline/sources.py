@@ -21,10 +21,8 @@ from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
-    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.view_source import ViewSource
-    from hypose.pipeline.subject import TrackedSubject
+    from hypose.io.recordings.recording_views import ViewSource
 
 
 @runtime_checkable
@@ -32,7 +30,6 @@ class RecordedFrames(FrameSource, Protocol):
     """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
 
     recording: Recording
-    options: FrameSettings
     rig: CameraRig
     kinds: frozenset[type]
     keypoints: Sequence[Keypoints]
@@ -49,7 +46,7 @@ FrameRange = Callable[[range], Iterable[Frame]]
 """Function that reads the frames with the given numbers, one after the other."""
 
 
-def frames_backwards(frames: FrameRange, stop: int, block: int) -> Iterator[Frame]:
+def frames_backwards(frames: FrameRange, stop: int, block: int = SETTINGS.sides_block) -> Iterator[Frame]:
     """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
     backwards.
     """
@@ -115,14 +112,15 @@ class PictureFrames:
 
 
 def tracked_frames(
-    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+    source: FrameSource, indices: range, needs: Sequence[str], body: Body, start: Array
 ) -> Iterator[Frame]:
     """Yield the frames that a recipe tracks, with the evidence that it needs.
 
     source: frames by number.
     indices: frames, forwards or backwards.
     needs: kinds of evidence that the recipe uses, as in Recipe.
-    subject: the person; its body at the start pose shows where the skin colours are learned.
+    body: of the person.
+    start: (D,) pose in the first frame, which shows where the skin colours are learned.
     Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
         colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
     """
@@ -138,7 +136,7 @@ def tracked_frames(
     ):
         yield from (source.frame(i) for i in indices)
         return
-    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
+    with contextlib.closing(ColourDetections(source, body, start)) as coloured:
         yield from (coloured.frame(i) for i in indices)
 
 
@@ -164,9 +162,6 @@ class ColourDetections:
                 "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
             )
         self._colours = end_colors(body, start, first, images)
-
-    def __len__(self) -> int:
-        return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
         """Read a frame with its detections; without them where fewer than two views see the person."""

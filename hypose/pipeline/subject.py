@@ -470,16 +470,15 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
     if points and options.start in ("keypoints", "auto"):
         return _by_points(frame_at, n_frames, options)
     body = options.body
-    if body is not None and options.tried:
-        frames = [frame_at(k) for k in range(min(n_frames, options.tracked))]
-        known = {"height": body.stature, "seed": options.seed, "tried": options.tried}
-        way = best_ways(body, frames, options.frame_rate, shared=options.shared, **known).ways[0]
-        return TrackedSubject(body, None, way.poses[0], (GIVEN,))
     if body is not None:
-        prepared = prepare(first, body, np.zeros(body.skeleton.dof))
-        return TrackedSubject(
-            body, None, starts_in_frame(body, prepared, body.stature, names=options.poses)[0].pose, (GIVEN,)
-        )
+        if options.tried:
+            frames = [frame_at(k) for k in range(min(n_frames, options.tracked))]
+            known = {"height": body.stature, "seed": options.seed, "tried": options.tried}
+            pose = best_ways(body, frames, options.frame_rate, shared=options.shared, **known).ways[0].poses[0]
+        else:
+            prepared = prepare(first, body, np.zeros(body.skeleton.dof))
+            pose = starts_in_frame(body, prepared, body.stature, names=options.poses)[0].pose
+        return TrackedSubject(body, None, pose, (GIVEN,))
     estimate = estimate_subject(frame_at, n_frames, options)
     notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
     return TrackedSubject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)

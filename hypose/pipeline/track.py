@@ -24,19 +24,19 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameStream, load_person
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import (
     later,
     other_people_note,
     trace_of,
     with_trace,
 )
-from hypose.pipeline.input_checks import CHECKED, place_sensors, places_refuted
+from hypose.pipeline.input_checks import CHECKED, CHECKED_KEYPOINTS, place_sensors, places_refuted
 from hypose.pipeline.one_camera import IN_PICTURE, find_in_picture
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
+    SOLVED_TOGETHER,
     UNTIL_TRACKED,
     ClipState,
 )
@@ -329,9 +329,9 @@ def track_source(
     )
     if subject is not None:
         clip = replace(clip, people=(clip.at_start(subject),))
-    together, alone = CHECKED, AFTER_TRACKING
-    if not find_places:
-        together = tuple(step for step in CHECKED if step is not place_sensors)
+    together, alone = tuple(s for s in CHECKED if find_places or s is not place_sensors), AFTER_TRACKING
+    if options.whole_clip and method is None:
+        together, alone = CHECKED_KEYPOINTS, SOLVED_TOGETHER
     if options.of_picture:
         together, alone, clip = UNTIL_TRACKED, IN_PICTURE, replace(clip, find=find_in_picture)
     return run_clip(clip, together, alone)[1][0]

@@ -70,10 +70,6 @@ class Member:
         """Whether the tracker knows where the person is: present and not lost."""
         return self.present and not self.state.lost and self.state.blind <= BLIND
 
-    def shape(self, rig: CameraRig, pose: Array) -> BodyShape:
-        """Build the person's body at a pose (D,) as the cameras see it."""
-        return shape_of(self.tracker.body, pose, rig)
-
 
 def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
     """Build a body at a pose (D,) as pinhole cameras see it."""
@@ -102,7 +98,7 @@ def step_together(
     estimates, seen = dict[int, FrameEstimate](), [frame] * count
     expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
     rigs = [s.rig for s in frame.of(Silhouettes)]
-    shapes = [m.shape(rig, q) for rig in rigs for m, q in zip(members, expected, strict=True)]
+    shapes = [shape_of(m.tracker.body, q, r) for r in rigs for m, q in zip(members, expected, strict=True)]
     done = np.zeros(count, dtype=np.bool_)
     for i in ((frame.index + k) % max(count, 1) for k in range(count)):
         m = after[i]
@@ -120,7 +116,7 @@ def step_together(
         state, estimates[i] = m.tracker.step(m.state, own)
         after[i], seen[i], done[i] = replace(m, state=state), own, True
         for rig in rigs if not done.all() else ():
-            shapes[i] = after[i].shape(rig, estimates[i].pose)
+            shapes[i] = shape_of(m.tracker.body, estimates[i].pose, rig)
     return after, [estimates[i] for i in range(count)], seen
 
 

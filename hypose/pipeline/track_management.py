@@ -284,8 +284,9 @@ def update_appearance(
         if not frame.of(Colours) or p not in there:
             continue
         w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
-        for q in near:
-            _remember(p, q)
+        for q in near:  # the frame in which they were nearest so far
+            if q.name not in w.met or _apart(p, q) <= _apart(p, q, w.met[q.name]):
+                w.met[q.name] = len(p.estimates) - 1
         if near:
             w.lately, w.looks = NO_CLOTHES, 0
             continue
@@ -293,13 +294,6 @@ def update_appearance(
         if not w.met:
             w.settle()
     return _exchanged(there)
-
-
-def _remember(p: TrackedPerson, q: TrackedPerson) -> None:
-    """Record that two people met, and the frame in which they were nearest so far."""
-    now, met = len(p.estimates) - 1, p.appearance.met
-    if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
-        met[q.name] = now
 
 
 def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
@@ -347,7 +341,8 @@ def swap_identities(
 
 def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
     """Return what each person whose place is known covers in the views."""
-    return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
+    known = [(p.member.tracker.body, p.estimates[-1].pose) for p in people if p.member.sure]
+    return [Other(shape_of(body, pose, silhouettes.rig)) for body, pose in known]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
@@ -404,7 +399,8 @@ def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, 
     kept: dict[str, TrackedPerson] = {}
     for p in people:
         for name, q in kept.items():
-            away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
+            away = float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))  # between the roots
+            rest = [o for o in people if o is not p and o is not q]
             alone = (
                 min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p)))
                 if away < SETTINGS.people_near_m
@@ -416,11 +412,6 @@ def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, 
         else:
             kept[p.name] = p
     return {name: p.subject for name, p in kept.items()}
-
-
-def _away(p: TrackedPerson, q: TrackedPerson) -> float:
-    """Compute the distance between the roots of two people at their starts, m."""
-    return float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))
 
 
 def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -> float:
@@ -481,9 +472,7 @@ def returned(
 
     The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
     seen. Clothes, where pictures show them: not too different. Body: about as tall as the hull. Of several, the one
-    whose clothes are most
-            alike
-            and whose body overlaps the masks best.
+    whose clothes are most alike and whose body overlaps the masks best.
     Returns: the person and the pose (D,) now; None: none of them.
     """
     best: tuple[float, TrackedPerson, Array] | None = None

@@ -161,7 +161,7 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
 
 
 def test_a_frame_as_lines_for_listeners():
-    frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
+    frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event(1, 3.0, 4.0, 12.0, None, "start", 1.5)])
     scores, event = map(json.loads, gesture_lines(frame, ["tee"]))
     assert scores == {"time": 1.5, "scores": {"tee": 12.0}} and event["event"] == "start"
 

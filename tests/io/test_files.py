@@ -13,8 +13,19 @@ import pytest
 
 from hypose.errors import InputError, visible
 from hypose.io import files
-from hypose.io.file_names import file_name, folder_for, utf8_path
-from hypose.io.files import LOCK, atomic_path, check_writable, claimed, open_file, read_json, read_text, write_bytes
+from hypose.io.files import (
+    LOCK,
+    atomic_path,
+    check_writable,
+    claimed,
+    file_name,
+    folder_for,
+    open_file,
+    read_json,
+    read_text,
+    utf8_path,
+    write_bytes,
+)
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.motions.results import Archive, write_archive
 from hypose.io.recordings.recording import load_recording

@@ -493,9 +493,9 @@ def test_trial_of_a_session(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("points", "model", "expected", "notes"),
     [
-        (25, None, "BODY_25B", 1),
+        (25, None, "BODY_25", 0),
         (25, "BODY_25", "BODY_25", 0),
-        (17, None, "COCO_17", 1),
+        (17, None, "COCO_17", 0),
         (133, "Whole_body", "COCO_133", 0),
         (26, "COCO_17", "HALPE_26", 1),  # the files are believed
     ],
@@ -504,7 +504,7 @@ def test_keypoint_set(tmp_path, points, model, expected, notes):
     config = f"[pose]\npose_model = '{model}'\n" if model else ""
     recording = load_recording(make_project(tmp_path / "p", config, points))
     assert recording.keypoint_set == expected
-    assert sum("points and are taken as" in n for n in recording.notes) == notes
+    assert sum("points, which are not those of" in n for n in recording.notes) == notes
 
 
 def test_extrinsics_photos_become_plates(tmp_path):

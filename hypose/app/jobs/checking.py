@@ -21,9 +21,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Image
 from hypose.io.calibrations.calibration_formats import write_calibration
-from hypose.io.file_names import free_path
-from hypose.io.files import check_writable, write_bytes, write_text
-from hypose.io.motions.results import to_json
+from hypose.io.files import check_writable, free_path, write_bytes, write_text
+from hypose.io.motions.results import json_values, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_views import open_pictures
@@ -134,8 +133,6 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     if any("world is turned" in n for n in loaded.notes):
         say('note: this file is z up already: use it with world_up = "z".')
     say(f"Use it: hypose track {loaded.folder} --calibration {target}")
-    for text in [] if cured is None else _settings(loaded, cured):
-        say(f"Also set in recording.toml: {text}")
 
 
 def _print_changes(result: Refinement) -> bool:
@@ -152,15 +149,6 @@ def _print_changes(result: Refinement) -> bool:
         say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
     before, after = next(iter(result.residuals.values()), (1.0, 0.0))
     return after < before
-
-
-def _settings(recording: Recording, cured: Cured) -> list[str]:
-    """List the settings of recording.toml that correct the faults that were measured, as sentences."""
-    out = [f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}"] if cured.keypoint_lag else []
-    for view, shift in zip(recording.views, cured.shift, strict=True):
-        x, y = (np.array(view.image_shift) + shift).round(1)
-        out += [f"view {view.name}: image_shift = [{x:g}, {y:g}]"] if shift.any() else []
-    return out
 
 
 def print_cameras(recording: Recording) -> None:
@@ -290,13 +278,10 @@ def write_findings(path: Path, facts: Sequence[str], warnings: Sequence[str], re
             {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence, "cure": f.cure}
             for f in (report.findings if report is not None else ())
         ],
-        "views": [
-            {k: None if isinstance(v := getattr(view, k), float) and not np.isfinite(v) else v for k in _FIGURES}
-            for view in (report.views if report is not None else ())
-        ],
+        "views": [{k: getattr(view, k) for k in _FIGURES} for view in (report.views if report is not None else ())],
         "page": "check.html" if report is not None else None,
     }
-    write_text(path, to_json(value))
+    write_text(path, to_json(json_values(value)))
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:

@@ -22,8 +22,8 @@ from hypose.app.commands.console import (
     say,
     stopping,
 )
-from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
-from hypose.app.live.live_server import FusionServerOptions, run_live
+from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, print_figures, split_names, track_shown
+from hypose.app.live.live_server import LiveServer, run_live
 from hypose.app.options import FuseCommand, TrackCommand
 from hypose.app.reports.report_parts import require_found
 from hypose.body.body import Body
@@ -31,22 +31,21 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
-from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import Fused, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     common_times,
     join_observations,
+    read_skeletons,
     resample,
     shifted,
 )
@@ -65,8 +64,8 @@ def fuse(c: FuseCommand) -> None:
             raise InputError("--live takes no recording; leave one of the two out.")
         ports = {} if c.udp is None and c.ws is None else {"udp": c.udp, "ws": c.ws}
         settings = AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000)
-        about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings}
-        asyncio.run(run_live(FusionServerOptions(host=c.host, **ports, **about), say, print_note))
+        about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings, "note": print_note}
+        asyncio.run(run_live(LiveServer(host=c.host, **ports, **about), say, print_note))
         return
     if c.recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
@@ -90,14 +89,8 @@ def fuse(c: FuseCommand) -> None:
         people, notes = run_fuse(loaded, results, c, progress)
     print_notes(notes)
     for n, (m, _) in enumerate(people, 1):
-        parts = [
-            f"{counted(len(m), 'frame')} of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz",
-            f"{int(m.lost.sum())} lost",
-            f"{float(m.n_views.mean()):.1f} sensors on average",
-        ]
-        if np.isfinite(m.joint_sd).any():
-            parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
-        say(f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}: " + ", ".join(parts))
+        name = f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}"
+        print_figures(name, m, f"of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz")
     say(f"Results: {results.path}")
     if all(m.lost.all() for m, _ in people):
         require_found(people[0][0], loaded.name, results.path)
@@ -142,7 +135,6 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(seed=c.seed)
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     for n, whole in enumerate(people):
@@ -150,7 +142,7 @@ def run_fuse(
         span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
         clip = whole[span]
         watch = partial(lambda before, frames: progress("fuse", before + frames, total), n * len(times))
-        made = fuse_clip(clip, c.method, settings, registration, watch=watch)
+        made = fuse_clip(clip, c.method, registration, seed=c.seed, watch=watch)
         # instants at which no sensor saw the person have no measured time
         made = replace(made, motion=replace(made.motion, times=times[span]))
         if world is None:

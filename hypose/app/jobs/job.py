@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -52,7 +53,7 @@ from hypose.io.motions.results import (
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.io.sensors.skeleton_files import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
@@ -154,13 +155,10 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     """
     if text is None:
         return recording
-    first, colon, stop = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        a, b = int(first or 0), int(stop or recording.n_frames)
-    except ValueError:
-        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.") from None
+    found = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text)
+    if found is None:
+        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.")
+    a, b = int(found[1] or 0), int(found[2] or recording.n_frames)
     if not 0 <= a < b <= recording.n_frames:
         raise InputError(
             f"--frames {text} lies outside the recording, which has the frames 0 to {recording.n_frames - 1}; give the "
@@ -505,17 +503,11 @@ def _kept(job: TrackJob) -> str:
     several = job.command.people is not None
     motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
     motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
-    if results.checkpoint.exists():
-        if not motions:
-            kept = f"Kept: body and start of the person, in {results.checkpoint}"
-            return f"Stopped before the first frame was tracked. {kept}. Go on with: {command}"
-        done = f"{len(load_motion(motions[0]))} of {total} frames"
-        return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
-    if several and motions:
-        return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
-    if motions:
-        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
-    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
+    if not motions:
+        kept = " Kept: body and start of the person." if results.checkpoint.exists() else ""
+        return f"Stopped before the first frame was tracked.{kept} Go on with: {command}"
+    done = f"{len(load_motion(motions[0]))} of {total} frames"
+    return f"Stopped. Kept: {done} in {where}. Go on with: {command}"
 
 
 def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
@@ -524,19 +516,11 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     seconds: time per stage.
     Raises: EvidenceError where the person was found in no frame.
     """
-    s = summarize(outcome.motion)
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
     of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
-    of += " view" if of == "1" else " views"
-    parts = [f"{counted(s.frames, 'frame')} in {of}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
-    if s.iou == s.iou:
-        parts.append(f"mean IoU {s.iou:.3f}")
-    if s.sd_mm == s.sd_mm:
-        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
-    if seconds.get("track"):
-        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
-    say(f"{job.recording.name}: " + ", ".join(parts))
+    speed = [f"{len(outcome.motion) / seconds['track']:.1f} frames/s"] if seconds.get("track") else []
+    print_figures(job.recording.name, outcome.motion, f"in {of} view{'s' * (of != '1')}", speed)
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
@@ -544,6 +528,19 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
         say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     print_assessments({"": outcome.assessment})
+
+
+def print_figures(name: str, motion: Motion, seen: str, more: Sequence[str] = ()) -> None:
+    """Print one line with the figures of a motion.
+
+    seen: by which views or sensors, in words.
+    more: further figures.
+    """
+    s = summarize(motion)
+    parts = [f"{counted(s.frames, 'frame')} {seen}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    parts += [f"mean IoU {s.iou:.3f}"] if np.isfinite(s.iou) else []
+    parts += [f"median joint sd {s.sd_mm:.1f} mm"] if np.isfinite(s.sd_mm) else []
+    say(f"{name}: " + ", ".join([*parts, *more]))
 
 
 def print_assessments(assessments: Mapping[str, Assessment]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -112,19 +112,10 @@ def detect(
     frames: frames of the recording to detect; None: all.
     resume: skip frames that have a file.
     """
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(claimed(target))
-        progress = stack.enter_context(Stages())
-        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
-        with stopping(kept):
-            return detect_keypoints(
-                loaded,
-                detector,
-                target,
-                resume=resume,
-                frames=frames,
-                progress=lambda done, total: progress("detect", done, total),
-            )
+    kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+    with claimed(target), Stages() as progress, stopping(kept):
+        shown = partial(progress, "detect")
+        return detect_keypoints(loaded, detector, target, resume=resume, frames=frames, progress=shown)
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:

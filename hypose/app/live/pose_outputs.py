@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,8 +18,9 @@ from hypose.app.live.osc import OscTarget, osc_bundles, people_osc, vmc_messages
 from hypose.app.live.servers import SocketListeners
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
+from hypose.io.motions.results import json_values
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions, LivePose
 from hypose.pipeline.live.live_rig import LiveRig
 from hypose.pipeline.live.recorder import LiveRecorder
@@ -151,7 +151,6 @@ def status_json(status: LiveStatus) -> str:
         }
         for c, late in zip(status.cameras, status.offsets or (0.0,) * len(status.cameras), strict=False)
     ]
-    p50, p99 = (None if math.isnan(v) else round(v, 1) for v in status.latency)
     value = {
         "type": "status",
         "phase": status.phase,
@@ -160,11 +159,11 @@ def status_json(status: LiveStatus) -> str:
         "poses": status.poses,
         "per_second": round(status.per_second, 1),
         "skipped": round(status.skipped, 3),
-        "latency_ms": [p50, p99],
-        "stages_ms": {k: None if math.isnan(v) else round(v, 1) for k, v in status.stages.items()},
+        "latency_ms": [round(v, 1) for v in status.latency],
+        "stages_ms": {k: round(v, 1) for k, v in status.stages.items()},
         "fitted": status.fitted,
     }
-    return json.dumps(value, separators=(",", ":"))
+    return json.dumps(json_values(value), separators=(",", ":"))
 
 
 class TrackingRun:
@@ -201,8 +200,8 @@ class TrackingRun:
                 self.recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
                 parts.callback(self.recorder.close)
                 listeners.append(self.recorder)
-            options = LiveTrackingOptions(capture, person, people, pictures=pictures or record is not None)
-            self.engine = LiveEngine(cameras.rig, cameras.views, options, listeners, stop)
+            about = {"pictures": pictures or record is not None, "listeners": listeners, "stop": stop}
+            self.engine = LiveEngine(cameras.rig, cameras.views, capture, person, people=people, **about)
             parts.callback(self.engine.stop)
             self.engine.start()
             parts.pop_all()

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, event_value, growing_model, open_source
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.http import DEPTH, MAP, Message, Topic, digits, request_choice, request_number, text, whole
 from hypose.app.studio.live_topics import recording_folder
 from hypose.compute.forests import DepthImage
@@ -44,8 +44,7 @@ from hypose.gestures.events import (
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
-from hypose.io.file_names import free_path
-from hypose.io.files import read_bytes, read_json
+from hypose.io.files import free_path, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
 from hypose.synthetic.gesture_people import GESTURES, load_people
 
@@ -91,8 +90,8 @@ class Judge:
     def __init__(self, lens: DepthLens) -> None:
         self._lens = lens
         self._frames: list[tuple[int, float, float]] = []  # segment, score (cm^2), error (m)
-        self._state, self._clock = EventState(), 0.0
         self._last: float | None = None
+        self._clock = 0.0  # time of other movement, s
         self._alarms: list[float] = []
 
     def see(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation, segment: int = _TEST) -> None:
@@ -110,23 +109,16 @@ class Judge:
             error = float(np.hypot(found.x - at[0], found.y - at[1])) * far
         self._frames.append((segment, found.score, error))
 
-    def move(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement as false alarms.
+    def move(self, time: float, alarms: int) -> None:
+        """Count the false alarms in a frame of other movement.
 
         time: s.
-        found: place that the forest found.
-        threshold: cm^2, from which it counts; None: not known yet.
-        hold_s: time for which a gesture must be held, s.
+        alarms: gestures that were wrongly found to start.
         """
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
-        elif self._last is not None:  # another segment: an event that was going on has ended
-            self._state = EventState()
         self._last = time
-        if threshold is not None and threshold > 0:
-            settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
-            self._state, events = detect_events(self._state, [found], self._clock, settings)
-            self._alarms += [self._clock for e in events if e.kind == "start"]
+        self._alarms += [self._clock] * alarms
 
     def reported(self, undone: Collection[int] = ()) -> dict[str, Any]:
         """Return the judgement for the page: of the frames of the test once these are of both kinds, else of the latest
@@ -144,16 +136,26 @@ class Judge:
         correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
         seconds = min(self._clock, _WINDOW_S)
         recent = sum(t > self._clock - _WINDOW_S for t in self._alarms)
-        out = {"on": "test" if test else "segments", "frames": len(seen), "positives": positives, "ap": None}
-        out |= {"precision": [], "recall": [], "scores": [], "tested_s": round(seconds, 1)}
-        out |= {"false_per_min": recent * 60 / seconds if seconds > 5 else None}
+        out = {
+            "on": "test" if test else "segments",
+            "frames": len(seen),
+            "positives": positives,
+            "ap": None,
+            **{curve: [] for curve in ("precision", "recall", "scores")},
+            "tested_s": round(seconds, 1),
+            "false_per_min": recent * 60 / seconds if seconds > 5 else None,
+        }
         if 0 < positives < len(seen):
             precision, recall = precision_recall(scores, correct, positives)
             ranked = scores[np.lexsort((correct, -scores))]
             ranked = ranked[ranked > 0]
             pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
-            out |= {"ap": average_precision(scores, correct, positives), "scores": ranked[pick].round(3).tolist()}
-            out |= {"precision": precision[pick].round(4).tolist(), "recall": recall[pick].round(4).tolist()}
+            out |= {
+                "ap": average_precision(scores, correct, positives),
+                "precision": precision[pick].round(4).tolist(),
+                "recall": recall[pick].round(4).tolist(),
+                "scores": ranked[pick].round(3).tolist(),
+            }
         return out
 
 
@@ -229,6 +231,9 @@ class Lesson(Teaching):
         found, density = self._look(taken, f, controls.map)
         i, session, events = f.instruction, self.trainer.session, list[Event]()
         threshold = controls.threshold or (self.final if i.phase == "test" else None) or f.threshold
+        if fresh and threshold:
+            settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+            self._events, events = detect_events(self._events, [found], taken.time, settings)
         if fresh:
             both_known = None not in session.before  # the segment began with a forest that knew gesture and movement
             if self.usable and both_known and taken.time - session.entered < _JUDGED_S:
@@ -236,14 +241,11 @@ class Lesson(Teaching):
             if i.phase == "test" and self.source.clear():
                 self._judge.see(taken.depth, taken.box, found)
             if i.phase == "negative" and not self.paused:
-                self._judge.move(taken.time, found, threshold, controls.hold_s)
-            if i.phase == "test" and threshold:
-                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
-                self._events, events = detect_events(self._events, [found], taken.time, settings)
+                self._judge.move(taken.time, sum(e.kind == "start" for e in events))
         z = surface_depth(taken.depth, *self.place)
         half = BOX_M * self.source.lens.fx / (2.0 if z is None else z / 1000)
         message = {
-            **_step(taken, found, threshold, controls, events, self.names),
+            **_step(taken, found, threshold, controls, events if i.phase == "test" else [], self.names),
             "phase": i.phase,
             "prompt": i.prompt,
             "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),
@@ -603,8 +605,6 @@ class Run:
 # Pictures of depth and votes, and lists of sessions, models and sources, for the page.
 
 
-_MOST_BYTES = 64 << 20
-"""Largest frames.csv of a session that is read, bytes."""
 _SIZE = 96
 """Width and height of the thumbnail, px."""
 _HALF_M = 0.22
@@ -636,28 +636,14 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
-def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the recorded gesture sessions for the page, as JSON values, without reading their pictures."""
-    return [
-        {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
-        for item in catalog.items("session")
-        for gestures, frames in [_brief(item.path)]
-    ]
-
-
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the usable gesture models for the page, as JSON values."""
     found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
     return [
-        {**_named(item, item.path.stem, catalog), "gesture": facts[0], "threshold": facts[1]}
+        {"id": item.id, "path": catalog.shown(item.path), "gesture": facts[0], "threshold": facts[1]}
         for item, facts in found
         if facts is not None
     ]
-
-
-def _named(item: Item, name: str, catalog: Catalog) -> dict[str, Any]:
-    """Return id, name and path of an item for a list."""
-    return {"id": item.id, "name": name, "path": catalog.shown(item.path)}
 
 
 @lru_cache(maxsize=512)
@@ -680,7 +666,11 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
         for n in range(len(load_people()))
     ]
     recorded = [
-        {"value": f"session:{item.id}", "title": f"Recorded session {item.path.name}", "gestures": _brief(item.path)[0]}
+        {
+            "value": f"session:{item.id}",
+            "title": f"Recorded session {item.path.name}",
+            "gestures": _gestures_of(item.path),
+        }
         for item in catalog.items("session")
     ]
     camera: dict[str, Any] = {"value": "realsense", "title": "RealSense camera"}
@@ -689,14 +679,12 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
     return [*people, *recorded, camera]
 
 
-def _brief(folder: Path) -> tuple[list[str], int]:
-    """Read the names of the gestures and the number of frames of a session."""
-    try:
+def _gestures_of(folder: Path) -> list[str]:
+    """Read the names of the gestures of a session; none where it cannot be read."""
+    names = None
+    with contextlib.suppress(HyposeError, AttributeError):
         names = read_json(folder / "session.json", "a session.json").get("gestures")
-        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
-    except (HyposeError, AttributeError):
-        return [], 0
-    return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)
+    return [str(n) for n in names] if isinstance(names, list) else []
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:

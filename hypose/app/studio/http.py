@@ -248,10 +248,8 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request or connection."""
-        if scope["type"] not in ("http", "websocket"):
-            return await self._app(scope, receive, send)
         try:
-            problem = self._problem(scope)
+            problem = None if scope["type"] == "lifespan" else self._problem(scope)
         except ValueError:  # an Origin or Host that is no address
             problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
         if problem is None:

@@ -320,9 +320,6 @@ def _progress(job: _StudioJob, text: str) -> bool:
     except (ValueError, KeyError, TypeError):
         return False
     seconds = time.monotonic() - job.starts.setdefault(name, time.monotonic())
-    per_s = done / seconds if seconds > 0.2 and done else None
-    left_s = (total - done) / per_s if per_s and done < total else None
-    unit = "frames" if name in COUNTED_IN_FRAMES else ""
-    figures = {"seconds": round(seconds, 2), "per_s": per_s, "left_s": left_s, "unit": unit}
+    figures = {"seconds": round(seconds, 2), "unit": "frames" if name in COUNTED_IN_FRAMES else ""}
     job.stages[name] = {"name": name, "title": title, "done": done, "total": total, **figures}
     return True

@@ -19,7 +19,6 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from hypose.app.live import simulated_sensors
-from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
 from hypose.app.reports.result_pictures import jpeg
@@ -28,8 +27,8 @@ from hypose.app.studio.http import Message, NotNow, Topic, request_number, text,
 from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.io.file_names import free_path
-from hypose.io.videos.camera_sources import is_device
+from hypose.io.files import free_path, natural_key
+from hypose.io.videos.video import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions
@@ -148,7 +147,7 @@ class FuseTopic(LiveTopic):
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MAX_SIMULATED)
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
-        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record))
+        server = LiveServer(udp=udp, ws=ws, osc=osc, record=record)
         try:
             await server.start()
         except InputError:
@@ -159,7 +158,7 @@ class FuseTopic(LiveTopic):
         server.listeners.append(self._tell)
         if seen is not None:
             sending = asyncio.ensure_future(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
-            parts.push_async_callback(_cancel, sending)
+            parts.callback(sending.cancel)
         running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
         return running | {"record": _reported(record)}
 
@@ -170,19 +169,13 @@ class FuseTopic(LiveTopic):
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""
         await server.stop()
-        if (record := _reported(server.options.record)) is not None:
+        if (record := _reported(server.record)) is not None:
             self._words.append(server.unrecorded or f"Recorded as {record}.")
 
 
 def _as_topic(line: str) -> str:
     """Return a line of JSON of the live outputs as a message to pages."""
     return line.replace('"type":', '"t":', 1)
-
-
-async def _cancel(task: asyncio.Task[None]) -> None:
-    """Cancel a task and wait for its end."""
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
 
 
 class CameraTopic(LiveTopic):
@@ -196,6 +189,10 @@ class CameraTopic(LiveTopic):
         self.joints = {"joints": skeleton.joint_names, "parents": [int(p) for p in skeleton.parents]}
         self._run: TrackingRun | None = None
         self._watching: asyncio.Task[None] | None = None
+
+    def hello(self) -> Message:
+        """Return the state, the joints, and the cameras of this computer."""
+        return {**super().hello(), "devices": list_devices()}
 
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start or stop the live run, or learn the empty room again ("room")."""
@@ -256,6 +253,16 @@ class CameraTopic(LiveTopic):
         if run.engine.failed is not None:
             self._words.append(f"It ended: {str(run.engine.failed).rstrip('.')}.")
         self._words += [said] * bool(said)
+
+
+def list_devices() -> list[dict[str, Any]]:
+    """List the cameras of this computer by number and name; none where the system has no such list (only Linux has)."""
+    found = []
+    for device in sorted(Path("/sys/class/video4linux").glob("video*"), key=lambda p: natural_key(p.name)):
+        with contextlib.suppress(OSError, ValueError):
+            if int((device / "index").read_text()) == 0:  # others of the same camera give no pictures
+                found.append({"number": int(device.name[5:]), "name": (device / "name").read_text().strip()})
+    return found
 
 
 def _sources(value: Any) -> dict[str, str]:

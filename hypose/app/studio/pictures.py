@@ -18,7 +18,7 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.view_source import Preparer
+from hypose.io.recordings.recording_views import Preparer
 
 
 class OpenRecording:
@@ -28,7 +28,6 @@ class OpenRecording:
     recording: the recording.
     frames: frame of the first row, and the frame after that of the last row; None: all frames, so that row numbers
         are frame numbers.
-    users: number of users at present.
     """
 
     def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
@@ -37,7 +36,6 @@ class OpenRecording:
         self._readers: dict[int, ViewImages] = {}
         self._last: dict[int, tuple[int, Image]] = {}  # row and picture that each reader read last
         self._lenses: dict[int, Preparer] = {}  # of the size that each view was asked for last
-        self.users = 0
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.RLock(), threading.Lock()
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.catalog import Catalog, Item, NotFound, is_recording
+from hypose.app.studio.catalog import Catalog, Item, NotFound, changed, is_recording
 from hypose.app.studio.http import NotNow, object_of, request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import (
@@ -36,8 +36,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import read_text, read_toml, toml_lines, write_text
+from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
     Recording,
@@ -50,7 +49,7 @@ from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
 # Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged. The text is split
-# into tables: the lines of the recording itself, then of each [table] with its header.
+# into tables: that of the recording itself, then each [table] with its header.
 
 
 _KINDS = (
@@ -60,7 +59,8 @@ _KINDS = (
 _VIEW, _AWAY = "[[view]]", "[[left_out]]"
 """Headers of the table of a view, and of one that is left out."""
 _REFINED = "results/calibration_refined*.toml"
-_Tables = list[list[str]]
+_BEFORE_TABLE = re.compile(r"(?m)^(?=[ \t]*\[)")
+"""Place before a header, at which the text is split."""
 
 
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
@@ -77,24 +77,25 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
     path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
-    tables = _tables_of(before)
+    tables = _BEFORE_TABLE.split(before)
     if what == "use_refined":
         if (refined := newest_refined_calibration(folder)) is None:
             raise InputError("There is no refined calibration yet; refine it first.")
-        _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)  # it is in metres with z up
+        # it is in metres with z up
+        tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
     elif what == "take_back":
-        for lines in tables[1:]:
-            lines[0] = lines[0].replace(_AWAY, _VIEW)
+        tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
     elif what == "keypoint_pixels":
-        _set(tables[0], keypoint_pixels="image")
+        tables[0] = _set(tables[0], keypoint_pixels="image")
     elif what == "height":
-        _set(tables[0], subject_height=number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8))
+        metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
+        tables[0] = _set(tables[0], subject_height=metres)
     elif what == "keypoint_lag":
         frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
-        _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
+        tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
     else:
         _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
-    write_text(path, "\n".join(line for lines in tables for line in lines))
+    write_text(path, "".join(tables))
     if what not in ("height", "board"):
         try:
             load_recording(folder)
@@ -104,7 +105,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
 
 
 def _edit_view(
-    tables: _Tables,
+    tables: list[str],
     parsed: Sequence[Mapping[str, Any]],
     what: str,
     asked: Mapping[str, Any],
@@ -117,7 +118,7 @@ def _edit_view(
     tables: tables of recording.toml; the table is changed in place.
     parsed: values of the views.
     """
-    views = [lines for lines in tables if _header(lines) == _VIEW]
+    views = [k for k, table in enumerate(tables) if _header(table) == _VIEW]
     if len(views) != len(parsed):
         raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
     names = [str(v.get("name") or f"view{k}") for k, v in enumerate(parsed, 1)]
@@ -126,16 +127,17 @@ def _edit_view(
     if what == "leave_out":
         if len(names) < 2:
             raise InputError(f"{name} is the only view; a recording needs one.")
-        views[number][0] = views[number][0].replace(_VIEW, _AWAY)
-    elif what == "accept_scaled":
-        _set(views[number], accept_scaled=True)
-    elif what == "image_shift":
+        tables[views[number]] = tables[views[number]].replace(_VIEW, _AWAY, 1)
+        return
+    value: Any = True
+    if what == "image_shift":
         old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
         by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
-        _set(views[number], image_shift=[round(a + b, 1) for a, b in zip(old, by, strict=True)])
-    else:
+        value = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
+    elif what != "accept_scaled":
         room = catalog.inside(text(asked.get("path"), "file of a view", 1000, "choose one"), folder)
-        _set(views[number], **{what: (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()})
+        value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
+    tables[views[number]] = _set(tables[views[number]], **{what: value})
 
 
 def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
@@ -160,26 +162,18 @@ def newest_refined_calibration(folder: Path) -> str | None:
     return files[-1].relative_to(folder).as_posix() if files else None
 
 
-def _tables_of(text: str) -> _Tables:
-    """Split a TOML text into the lines of its tables, the first without a header."""
-    tables: _Tables = [[]]
-    for line in text.split("\n"):
-        if line.lstrip().startswith("["):
-            tables.append([])
-        tables[-1].append(line)
-    return tables
+def _header(table: str) -> str:
+    """Return the header of a table, without a comment; "" for the values of the recording itself."""
+    first = table.split("\n")[0].split("#")[0].strip()
+    return first if first.startswith("[") else ""
 
 
-def _header(lines: Sequence[str]) -> str:
-    """Return the header of a table, without a comment; "" where it is empty."""
-    return lines[0].split("#")[0].strip() if lines else ""
-
-
-def _set(lines: list[str], **values: Any) -> None:
-    """Set keys of a table, or remove those that are None; the last line of each becomes a comment."""
-    keys, at = "|".join(values), int(_header(lines).startswith("["))
-    kept = [line for line in lines[at:] if not re.match(rf"# before: ({keys}) =", line)]
-    lines[at:] = [*toml_lines(values), *(re.sub(rf"^\s*({keys})\s*=", r"# before: \1 =", line) for line in kept)]
+def _set(table: str, **values: Any) -> str:
+    """Return a table with keys set, or removed where they are None; the last line of each becomes a comment."""
+    keys, at = "|".join(values), table.find("\n") + 1 if _header(table) else 0
+    kept = re.sub(rf"(?m)^# before: ({keys}) =.*\n?", "", table[at:])
+    new = "".join(f"{line}\n" for line in toml_lines(values))
+    return table[:at] + new + re.sub(rf"(?m)^[ \t]*({keys})\s*=", r"# before: \1 =", kept)
 
 
 _OPEN, _QUALITY = 2, 85
@@ -199,8 +193,7 @@ class Recordings:
 
         Raises: InputError names the cause.
         """
-        with self.opened(item.path) as opened:
-            return opened.recording
+        return self.opened(item.path).recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
         """Collect the facts about a recording that the page shows.
@@ -281,40 +274,36 @@ class Recordings:
         settings: JSON object of the settings of the mask; None: those of the recording.
         Raises: NotFound or InputError where there is no such picture.
         """
-        with self.opened(item.path) as opened:
-            r = opened.recording
-            if camera not in r.rig.names:
-                raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-            opened.check(frame, width)
-            view, options = r.rig.names.index(camera), r.silhouettes
-            if settings is not None:
-                options = silhouette_options("The settings", object_of(settings, "value of settings"))
-            full = r.rig[view]
-            w = min(width, full.size[0])
-            small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            if r.views[view].source is None and shown == "none":
-                raise NotFound(f"{camera} has masks only, no pictures.")
-            masked = [] if shown == "none" else [opened.mask(view, frame, options)]
-            image = opened.undistorted(view, frame, small) if r.views[view].source else None
-        for person in masked:
-            image = _draw_mask(np.full((*person.shape, 3), 40, np.uint8) if image is None else image, person, shown)
-        assert image is not None
-        return jpeg(image, w, _QUALITY)
+        opened = self.opened(item.path)
+        r = opened.recording
+        if camera not in r.rig.names:
+            raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
+        opened.check(frame, width)
+        view, options = r.rig.names.index(camera), r.silhouettes
+        if settings is not None:
+            options = silhouette_options("The settings", object_of(settings, "value of settings"))
+        full, pictured = r.rig[view], r.views[view].source is not None
+        w = min(width, full.size[0])
+        small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
+        if shown == "none" and not pictured:
+            raise NotFound(f"{camera} has masks only, no pictures.")
+        mask = None if shown == "none" else opened.mask(view, frame, options)
+        grey = np.full((*small.size[::-1], 3), 40, np.uint8)
+        image = opened.undistorted(view, frame, small) if pictured else grey
+        return jpeg(image if mask is None else _draw_mask(image, mask, shown), w, _QUALITY)
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
         options = silhouette_options("The settings", settings)
         path = _description(item.path, self.load(item))
         read_toml(path)
-        tables = _tables_of(read_text(path, "a recording.toml"))
-        kept = [line for lines in tables if _header(lines) != "[silhouettes]" for line in lines]
-        write_text(path, "\n".join(["\n".join(kept).rstrip("\n"), *silhouette_lines(options)]) + "\n")
+        tables = _BEFORE_TABLE.split(read_text(path, "a recording.toml"))
+        kept = "".join(table for table in tables if _header(table) != "[silhouettes]")
+        write_text(path, "\n".join([kept.rstrip("\n"), *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
-    @contextlib.contextmanager
-    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> Iterator[OpenRecording]:
-        """Open a recording, or return the open one; it stays open while the block runs, and then until others
-        were used after it.
+    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> OpenRecording:
+        """Open a recording, or return the open one; the last ones that were used stay open.
 
         folder: folder of the recording.
         frames: frame of the first row, and the frame after that of the last row; None: all frames.
@@ -324,22 +313,16 @@ class Recordings:
         if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
             opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
         with self._lock:
-            opened = self._open.pop(key, opened)
-            self._open[key] = opened
-            opened.users += 1
-        try:
-            yield opened
-        finally:
-            with self._lock:
-                opened.users -= 1
-                for unused in [k for k, o in self._open.items() if not o.users][:-_OPEN]:
-                    self._open.pop(unused).close()
+            opened = self._open[key] = self._open.pop(key, opened)
+            old = [self._open.pop(k) for k in list(self._open)[:-_OPEN]]
+        for one in old:  # where it is still in use, it opens what it needs again
+            one.close()
+        return opened
 
-    def drop(self) -> None:
-        """Close the recordings that are not in use, since some systems cannot move open files."""
-        with self._lock:
-            for unused in [k for k, o in self._open.items() if not o.users]:
-                self._open.pop(unused).close()
+    def close(self) -> None:
+        """Close all recordings, since some systems cannot move open files; they open again when they are used."""
+        for one in list(self._open.values()):
+            one.close()
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
@@ -367,12 +350,11 @@ def board_of(folder: Path) -> dict[str, Any] | None:
     person), whether they are calibrated, and the time (s) of the contact sheet, None without one. None where neither
     applies.
     """
-    sheet, names = folder / "results" / "calibration.png", list[str]()
+    sheet, names = changed(folder / "results" / "calibration.png"), list[str]()
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
-    made = sheet.stat().st_mtime if sheet.is_file() else None
     calibrated = (folder / CALIBRATION).is_file()
-    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or uncalibrated(folder) else None
+    return {"cameras": names, "calibrated": calibrated, "sheet": sheet} if names or uncalibrated(folder) else None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
@@ -386,7 +368,7 @@ def read_subject(folder: Path) -> dict[str, Any] | None:
 def _stamp(folder: Path) -> float:
     """Return a number that changes when the recording's description changes, or the detector has run."""
     names = ("recording.toml", "Config.toml", "calibration.toml", "subject", "keypoints/detector.json")
-    return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())
+    return sum(changed(folder / name) or 0.0 for name in names)
 
 
 # ---- folders -------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
@@ -33,7 +33,6 @@ from hypose.app.studio.gesture_session import (
     GestureTopic,
     gesture_thumbnail,
     models_shown,
-    sessions_shown,
     sources_shown,
 )
 from hypose.app.studio.http import (
@@ -86,10 +85,16 @@ class Studio:
         self.fusion, self.cameras = FuseTopic(self.catalog), CameraTopic(self.catalog)
         topics = {t.name: t for t in (self.jobs, self.gestures, self.fusion, self.cameras)}
         sockets = WebSocketRoute("/ws/{topic}", partial(serve_topics, topics))
+        files = [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
         self._routed = Starlette(
-            routes=[Route("/", _page), *routes(self), sockets, *_static()],
+            routes=[Route("/", _page), *routes(self), sockets, *files],
             lifespan=self._lifespan,
-            exception_handlers={Exception: _bug, 404: _nothing},
+            exception_handlers={
+                404: lambda request, error: error_response(404, "There is nothing at this address."),
+                Exception: lambda request, error: error_response(
+                    500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
+                ),
+            },
         )
         self.app = Guard(self._routed, self.token)
 
@@ -110,7 +115,6 @@ class Studio:
                 for i in catalog.items("recording")
             ],
             "results": found,
-            "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
             "skeletons": [
@@ -136,18 +140,13 @@ class Studio:
         await self.cameras.stop()
         await self.jobs.close()
         await run_in_threadpool(self.gestures.close)
-        self.recordings.drop()
+        self.recordings.close()
 
 
 def _warm() -> None:
     """Compile the kernels that a result needs, before a page waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
-
-
-def _static() -> list[BaseRoute]:
-    """Return the route of the page's files; none where the page was not built."""
-    return [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
 
 
 async def _page(request: Request) -> Response:
@@ -160,18 +159,6 @@ NOT_BUILT = (
     "The studio's page is not part of this installation: it could not be built when hypose was installed. Install "
     "hypose from a wheel, or build the page with `python hatch_build.py` in the sources (it needs the network once)."
 )
-
-
-async def _bug(request: Request, error: Exception) -> Response:
-    """Answer a request in which the server failed; the traceback is in its log."""
-    return error_response(
-        500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
-    )
-
-
-async def _nothing(request: Request, error: Exception) -> Response:
-    """Answer a request for an unknown address."""
-    return error_response(404, "There is nothing at this address.")
 
 
 def make_server(studio: Studio) -> uvicorn.Server:
@@ -207,18 +194,13 @@ def open_port(host: str, port: int) -> socket.socket:
     port: 0: any free one.
     Raises: InputError where the port cannot be used.
     """
-    opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        opened.bind((host, port))
-        opened.listen()
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except (OSError, OverflowError) as error:
-        opened.close()
         raise InputError(
             f"Port {port} on {host} cannot be used ({listen_error(error)}); choose another with --port, 0 takes any "
             "free one."
         ) from None
-    return opened
 
 
 def run_server(root: Path, host: str, port: int, token: str | None, ready: Callable[[str], None]) -> None:
@@ -362,14 +344,12 @@ def _of_results(studio: Studio) -> list[Route]:
 
     def pictures(item: Item, request: Request) -> Response:
         width = digits(request.query_params.get("width", "640"), "The width")
-        with results.pictures(item) as opened:
-            data = opened.row(request.path_params["row"], width)
+        data = results.pictures(item).row(request.path_params["row"], width)
         # a row of a result does not change while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
     def outlines(item: Item, request: Request) -> Any:
-        with results.pictures(item) as opened:
-            return {"views": opened.outlines(request.path_params["row"])}
+        return {"views": results.pictures(item).outlines(request.path_params["row"])}
 
     def opensim(item: Item, _: Request) -> Response:
         packed = io.BytesIO()
@@ -386,7 +366,7 @@ def _of_results(studio: Studio) -> list[Route]:
             raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
         if studio.jobs.needs(item.id):
             raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
-        studio.recordings.drop()  # some systems cannot delete open files
+        studio.recordings.close()  # some systems cannot delete open files
         try:
             shutil.rmtree(item.path)  # links in it are removed, not followed
         except OSError as error:

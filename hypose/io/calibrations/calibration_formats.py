@@ -48,8 +48,17 @@ from hypose.io.calibrations.camera_tables import (
     tables_of,
     unit_of,
 )
-from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import open_file, read_bytes, read_json, read_toml, toml_key, toml_lines, write_text
+from hypose.io.files import (
+    natural_key,
+    open_file,
+    read_bytes,
+    read_json,
+    read_toml,
+    text_of,
+    toml_key,
+    toml_lines,
+    write_text,
+)
 from hypose.io.formats import Format, FormatTable, Source
 
 _KIND = "a calibration"
@@ -356,15 +365,15 @@ def read_qualisys(source: Source, rig: RigFile) -> None:
         left, top, right, bottom = _attributes(where, element, "fov_video", "left", "top", "right", "bottom")
         optics = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
         fu, fv, cu, cv = _attributes(where, element, "intrinsic", *optics) / 64
-        radial = _attributes(where, element, "intrinsic", "radialDistortion1", "radialDistortion2")
-        tangential = _attributes(where, element, "intrinsic", "tangentalDistortion1", "tangentalDistortion2")
+        terms = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
+        lens = _attributes(where, element, "intrinsic", *terms)
         third = _attributes(where, element, "intrinsic", "radialDistortion3", default=0.0)
         axes = _attributes(where, element, "transform", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
         place = _attributes(where, element, "transform", "x", "y", "z") / 1000
         k = np.array([[fu, 0, cu - left], [0, fv, cv - top], [0, 0, 1.0]])
         turn = _FLIP @ axes.reshape(3, 3)
         size = np.array([right - left + 1, bottom - top + 1])
-        rig.add(name, k, np.concatenate([radial, tangential, third]), turn, -turn @ place, size)
+        rig.add(name, k, np.concatenate([lens, third]), turn, -turn @ place, size)
 
 
 # With r in pixels, k r^2 and k r^4 are this small for any lens; with r in focal lengths they never are.

@@ -26,12 +26,20 @@ from typing import Any
 
 import numpy as np
 
-from hypose.errors import InputError, extra
+from hypose.errors import InputError, extra, refuse
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_plain_pickle
-from hypose.io.file_names import last_number
-from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, read_text, readable_size
+from hypose.io.files import (
+    csv_rows,
+    last_number,
+    numbers_of,
+    open_file,
+    read_bytes,
+    read_json,
+    read_text,
+    readable_size,
+)
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
 from hypose.json_text import parse_json
@@ -106,10 +114,13 @@ def checked_people(values: Any, where: str) -> Array:
         p = np.array(values, dtype=np.float64)
     if p.size == 0:
         return np.zeros((0, 0, 3))
-    if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
-        raise InputError(f"{where}: key points have the shape {p.shape}, people x points x 3 is needed; export again.")
-    if np.isinf(p).any():
-        raise InputError(f"{where}: a key point is infinite; export it again.")
+    faults = {
+        f"key points have the shape {p.shape}, people x points x 3 is needed; export again": (
+            p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS
+        ),
+        "a key point is infinite; export it again": np.isinf(p).any(),
+    }
+    refuse(f"{where}: ", faults)
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
 
@@ -577,12 +588,8 @@ def _h5(source: Source) -> Iterator[Any]:
     """Open an HDF5 file within a with block; errors of the library become an InputError."""
     readable_size(source.path, source.kind, MAX_BYTES)
     h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
-    try:
-        with h5py.File(source.path, "r") as file:
-            yield file
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
-        reason = " ".join(str(problem).split())[:100]
-        raise InputError(f"{source.path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+    with numbers_of(f"{source.path}, read as HDF5,"), h5py.File(source.path, "r") as file:
+        yield file
 
 
 def _h5_holds(source: Source, wanted: Callable[[Any], Any]) -> bool:

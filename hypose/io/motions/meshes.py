@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.joint_names import SMPL_JOINTS
-from hypose.errors import InputError, extra
+from hypose.errors import InputError, extra, refuse
 from hypose.geometry import Array
 from hypose.io.files import numbers_of, read_bytes
 from hypose.io.motions.results import Archive
@@ -74,12 +74,12 @@ def read_person(path: str | Path) -> PersonMesh:
     """
     p = Path(path)
     ending = p.suffix.lower()
-    if ending == ".pkl":
-        raise InputError(f"{p} is a pickle, which may run any program when read; save the model as .npz instead.")
-    if ending == ".gltf":
-        raise InputError(f"{p}: a .gltf names other files; export it as one .glb instead.")
-    if ending not in MESH_ENDINGS:
-        raise InputError(f"{p} is not {_KIND}; export the scan in one of these formats.")
+    faults = {
+        " is a pickle, which may run any program when read; save the model as .npz instead": ending == ".pkl",
+        ": a .gltf names other files; export it as one .glb instead": ending == ".gltf",
+        f" is not {_KIND}; export the scan in one of these formats": ending not in MESH_ENDINGS,
+    }
+    refuse(str(p), faults)
     if ending == ".npz":
         return _read_smpl(p)
     data = read_bytes(p, _KIND, MAX_MESH_BYTES)
@@ -228,8 +228,7 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
         "has joints or weights that are not finite; export it again": rig is not None
         and not (np.isfinite(rig.weights).all() and np.isfinite(rig.joints).all()),
     }
-    if found := [fault for fault, there in faults.items() if there]:
-        raise InputError(f"{source} {found[0]}.")
+    refuse(f"{source} ", faults)
     return mesh
 
 

@@ -14,7 +14,6 @@ import platform
 import re
 import sys
 import zipfile
-import zlib
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -27,10 +26,9 @@ from hypose import __version__
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.motion import Modes, Motion, modes_arrays
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError
+from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array
-from hypose.io.file_names import natural_key
-from hypose.io.files import atomic_path, open_file, unreadable, write_text
+from hypose.io.files import DAMAGED, atomic_path, natural_key, open_file, unreadable, write_text
 from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
@@ -41,8 +39,6 @@ _MOST_EMPTY = 1 << 20
 # contents.
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
 _FORMAT = 1
-# Errors of archives and their arrays that are not what they should be.
-_WRONG = (HyposeError, zipfile.BadZipFile, ValueError, EOFError, RuntimeError, LookupError, TypeError)
 # Arrays of an archive by name: kind of dtype, stored dtype ("" for any of the kind) and number of dimensions.
 _Layout = Mapping[str, tuple[str, str, int]]
 _SKELETON: _Layout = {
@@ -96,6 +92,19 @@ def to_json(value: Any) -> str:
 
     text = json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain)
     return text.encode("utf-8", "backslashreplace").decode() + "\n"
+
+
+def json_values(value: Any) -> Any:
+    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_values(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {visible(str(k)): json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(v) for v in value]
+    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 @dataclass(frozen=True)
@@ -235,17 +244,9 @@ class Archive:
         with open_file(path, f"a {self.what}", _MAX_ARCHIVE_BYTES) as stream:
             try:
                 return build(self._checked(self._read(stream, only), only))
-            except (OSError, MemoryError, zlib.error) as error:
+            except OSError as error:
                 raise InputError(f"{path} cannot be read ({error}); {self.next_step}.") from None
-            except (
-                HyposeError,
-                zipfile.BadZipFile,
-                ValueError,
-                EOFError,
-                RuntimeError,
-                LookupError,
-                TypeError,
-            ) as error:
+            except (HyposeError, *DAMAGED) as error:
                 reason = f"{error} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
                 raise InputError(f"{path} is not a {self.what}, or is damaged: {reason}; {self.next_step}.") from None
 
@@ -440,15 +441,10 @@ def load_result(path: Path) -> Motion:
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
     file = path / "motion.npz" if path.is_dir() else path
     if path.is_dir() and not file.exists():
-        people = sorted(p.parent for p in path.glob("*/motion.npz"))
-        if people:
-            raise InputError(
-                f"{path} holds the results of {', '.join(p.name for p in people)}; give one of them, for example "
-                f"{people[0]}."
-            )
-        runs = sorted(p.parent for p in path.glob("results/*/motion.npz"))
-        if runs:
-            raise InputError(f"{path} is a recording, not a result; give one of its results, for example {runs[0]}.")
+        found = [p.parent for pattern in ("*/motion.npz", "results/*/motion.npz") for p in sorted(path.glob(pattern))]
+        if found:
+            names = ", ".join(p.relative_to(path).as_posix() for p in found)
+            raise InputError(f"{path} holds the results of {names}; give one of them, for example {found[0]}.")
     if file.suffix.lower() != ".npz":
         raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
     return load_motion(file)

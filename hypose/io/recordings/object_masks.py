@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import as_mask
 from hypose.geometry import Mask
-from hypose.io.file_names import last_number, natural_key
-from hypose.io.files import MAX_TEXT_BYTES, numbers_of, read_json
+from hypose.io.files import MAX_TEXT_BYTES, last_number, natural_key, numbers_of, read_json
 from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,

@@ -63,14 +63,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError, InputError
+from hypose.errors import CalibrationError, InputError, refuse
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_calibration
 from hypose.io.calibrations.camera_tables import UNITS
-from hypose.io.file_names import file_name, match_names, text_of
-from hypose.io.files import read_toml, toml_lines, write_text
+from hypose.io.files import file_name, match_names, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_views import (
@@ -593,18 +592,16 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
         paths[key] = path
-    if "video" in paths and "images" in paths:
-        raise InputError(f"{where}: video and images are both given; keep the one to use.")
-    if "depth" in paths and (others := sorted(paths.keys() & {"video", "images", "masks"})):
-        raise InputError(
-            f"{where}: depth and {', '.join(others)} are both given; a depth "
-            "camera is a view of its own, with its own camera in the calibration."
-        )
-    if not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}:
-        raise InputError(
-            f"{where}: neither video, images, depth, masks nor keypoints are given; add one of them, or remove the "
-            "view."
-        )
+    others = sorted(paths.keys() & {"video", "images", "masks"}) if "depth" in paths else []
+    faults = {
+        "video and images are both given; keep the one to use": {"video", "images"} <= paths.keys(),
+        f"depth and {', '.join(others)} are both given; a depth camera is a view of its own, with its own camera in "
+        "the calibration": others,
+        "neither video, images, depth, masks nor keypoints are given; add one of them, or remove the view": (
+            not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}
+        ),
+    }
+    refuse(f"{where}: ", faults)
     shift = tuple(table.get("image_shift", (0.0, 0.0)))
     return ViewSettings(name, paths, image_shift=shift, accept_scaled=table.get("accept_scaled", False))
 

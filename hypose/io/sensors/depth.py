@@ -11,7 +11,6 @@ import itertools
 import os
 import time
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +24,18 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import utf8_path
-from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
-from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import VideoReader, decode, list_images, png_header, sequence_numbers
+from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, utf8_path, write_bytes
+from hypose.io.videos.video import (
+    CameraImage,
+    CameraSource,
+    Played,
+    StreamEnded,
+    VideoReader,
+    decode,
+    list_images,
+    png_header,
+    sequence_numbers,
+)
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -296,8 +303,6 @@ ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 FOLDER_RATE = 30.0
 """Frames per second of a folder of depth maps, where none is given."""
-# Exceptions of a zip that is not a zip, cut off, or locked by a password.
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 # Largest unpacked size of one entry of a capture.
 _PACKED_BYTES = 64 * 2**20
 
@@ -416,7 +421,7 @@ def _record3d(path: Path) -> DepthFile:
     """Open a capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed with
     LZFSE.
     """
-    try:
+    with numbers_of(f"{path}, read as a Record3D capture that says its lens,"):
         archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
         about = parse_json(_unpacked(archive, "metadata"))
         k = [float(v) for v in about["K"]]
@@ -425,12 +430,6 @@ def _record3d(path: Path) -> DepthFile:
         sx, sy = width / int(about["w"]), height / int(about["h"])
         lens = k[0] * sx, k[4] * sy, (k[6] + 0.5) * sx - 0.5, (k[7] + 0.5) * sy - 0.5
         rate = float(about.get("fps", 60))
-    except (OSError, *_DAMAGED, LookupError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
-        reason = str(error)[:100]
-        raise InputError(
-            f"{path} is no Record3D capture that says its lens and size, or is cut off ({reason}); share it again with "
-            "a newer Record3D."
-        ) from None
     usable = 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 1 <= rate <= 1000
     if not (usable and np.isfinite(lens).all() and min(lens[:2]) > 0):
         raise InputError(

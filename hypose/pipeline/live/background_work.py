@@ -99,10 +99,7 @@ def offsets_of(kept: Sequence[KeptFrame], rate: float) -> Array | None:
     masks = [k.frame().the(Silhouettes) for k in kept]
     tracks, rig = mask_tracks(masks), masks[0].rig
     try:
-        found = solve_offsets(
-            silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate, SETTINGS.background_scale_px),
-            len(rig),
-        )
+        found = solve_offsets(silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate), len(rig))
     except EvidenceError:
         return None
     reported = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)

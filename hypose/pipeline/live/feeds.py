@@ -15,7 +15,7 @@ import numpy as np
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.align import SensorClock
 from hypose.geometry import Array
-from hypose.io.videos.camera_sources import CameraImage, CameraSource
+from hypose.io.videos.video import CameraImage, CameraSource
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -104,7 +104,7 @@ class CameraFeed:
             period, trouble = self._period(), self._trouble
             silent = time.monotonic() - (self._shots[-1][1].arrival if self._shots else self._begun)
             if not trouble and silent > 2 * SETTINGS.feeds_gone_s:
-                trouble = f"no picture for {silent:.0f} s"
+                trouble = "it sends no pictures"
             rate = 1 / period if np.isfinite(period) and not trouble else 0.0
             lost = max(sum(self._recent), 0)
             loss = lost / max(lost + len(self._recent), 1)

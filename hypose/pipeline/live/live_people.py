@@ -34,7 +34,13 @@ from hypose.pipeline.live.background_work import BackgroundWork, KeptFrame
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import Member, TrackedPerson, TrackingSession, step_together, tracker_of
-from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles, explained_by, follow_places
+from hypose.pipeline.track_management import (
+    birth_candidates,
+    candidate_evidence,
+    explained_by,
+    follow_places,
+    part_doubles,
+)
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
@@ -69,14 +75,12 @@ class LivePersonOptions:
 class FoundPerson:
     """Person who was found and tracked to the present.
 
-    body: body of the track.
-    state: state of the tracker.
+    member: tracker and its state.
     time: time of the state, s.
     step_s: time of the last step, s.
     """
 
-    body: Body
-    state: TrackerState
+    member: Member
     time: float
     step_s: float
 
@@ -169,7 +173,7 @@ class LiveSearch:
             members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
             members = step_together(members, frame, others=others, alone=alone)[0]
             last, spent = frame.time, time.monotonic() - begin
-        return [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
+        return [FoundPerson(m, last, step_s) for m in members]
 
 
 def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
@@ -250,6 +254,11 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
+def _together(rate: float) -> int:
+    """Return the number of frames after which two people in one place are taken for one; rate: Hz."""
+    return max(2, round(SETTINGS.people_together_s * rate))
+
+
 class LiveTrack(TrackedPerson):
     """Live track of one person, for the session of `LivePeople`. For each frame call `prepare`, let the session track
     it, and call `look`; then `pose` gives the pose, and `judge` updates its error probabilities.
@@ -267,7 +276,7 @@ class LiveTrack(TrackedPerson):
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
     given_up: the person has been lost for too long.
-    estimates: of the last SETTINGS.people_together_s seconds.
+    estimates: of the last frames, which show whether two people stay in one place.
     """
 
     def __init__(
@@ -282,8 +291,9 @@ class LiveTrack(TrackedPerson):
         sync: bool = True,
         shared: bool = False,
     ) -> None:
-        subject = TrackedSubject(found.body, None, found.state.pose, ())
-        super().__init__(str(number), subject, Member(options.tracker(found.body, rate), found.state))
+        body, state = found.member.tracker.body, found.member.state
+        subject = TrackedSubject(body, None, state.pose, ())
+        super().__init__(str(number), subject, Member(options.tracker(body, rate), state))
         self.number, self.rig, self.rate, self.options = number, rig, rate, options
         self.body: Body | None = options.body
         self.offsets: Array | None = None
@@ -300,18 +310,7 @@ class LiveTrack(TrackedPerson):
         self._shift: Array | None = None
         self._whole: Frame | None = None
         self._frame: Frame | None = None
-        self._times = deque[float]()
         self.given_up = False
-
-    @property
-    def tracker(self) -> Tracker:
-        """The tracker, which changes with the body and the rate of the frames."""
-        return self.member.tracker
-
-    @property
-    def state(self) -> TrackerState:
-        """State of the tracker after the last frame; after `prepare` with velocities for the next one."""
-        return self.member.state
 
     def prepare(self, frame: Frame) -> None:
         """Prepare the track for the next frame, which shows all people: take over results of parallel work, and adapt
@@ -326,7 +325,7 @@ class LiveTrack(TrackedPerson):
         passed = frame.time - self._time
         self._keep_pace(min(passed, SETTINGS.search_gap_s))
         share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
-        self.member = replace(self.member, state=paced(self.state, share, self.tracker.body.skeleton))
+        self.member = replace(self.member, state=paced(self.member.state, share, self.member.tracker.body.skeleton))
 
     def take(self, estimate: FrameEstimate, member: Member) -> None:
         """Add a tracked frame."""
@@ -342,10 +341,7 @@ class LiveTrack(TrackedPerson):
         passed, estimate = frame.time - self._time, self.estimates[-1]
         self._whole, self._frame = whole, frame
         self._time, self._step_s = frame.time, max(passed, 1e-3)
-        self._times.append(frame.time)
-        while len(self._times) > 1 and self._times[1] <= frame.time - SETTINGS.people_together_s:
-            self._times.popleft()
-        del self.estimates[: -len(self._times)]
+        del self.estimates[: -_together(self.rate)]
         if self._shift is not None:
             shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
             self._shift = shift if np.abs(shift).max() > 1e-4 else None
@@ -357,17 +353,9 @@ class LiveTrack(TrackedPerson):
             self._lost_since = None
             self._measure(frame)
 
-    @property
-    def recent(self) -> list[FrameEstimate]:
-        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
-        shorter time.
-        """
-        long = self._times and self._time - self._times[0] >= SETTINGS.people_together_s
-        return self.estimates if long else []
-
     def pose(self) -> LivePose:
         """Return the pose of the last frame with the newest error probabilities; only after `look`."""
-        frame, tracker = self._frame, self.tracker
+        frame, tracker = self._frame, self.member.tracker
         assert frame is not None
         motion = self._errors.reported(tracker, self.estimates[-1], frame)
         joints = np.asarray(motion.joints[0], np.float64)
@@ -378,7 +366,7 @@ class LiveTrack(TrackedPerson):
     def judge(self) -> None:
         """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""
         if self._frame is not None:
-            self._errors.look(self.tracker, self.estimates[-1], self._frame, self._whole)
+            self._errors.look(self.member.tracker, self.estimates[-1], self._frame, self._whole)
 
     def _compare_sides(self, frame: Frame, estimate: FrameEstimate) -> None:
         """Start or continue a duel: where the body with exchanged sides explains a frame better, it is tracked in
@@ -391,7 +379,7 @@ class LiveTrack(TrackedPerson):
                 self._between *= 2
                 self._challenge = frame.time + self._between
             frames: queue.SimpleQueue[tuple[Frame, float]] = queue.SimpleQueue()
-            body, pose = self.tracker.body, estimate.pose
+            body, pose = self.member.tracker.body, estimate.pose
             self._duel = _Duel(frames, self._executor.submit(self._sides_won, body, pose, frame, frames))
 
     def _sides_won(
@@ -428,10 +416,10 @@ class LiveTrack(TrackedPerson):
     def _keep_pace(self, passed: float) -> None:
         """Replace the tracker by one for another frame rate where frames come at another rate than it expects."""
         self._usual_s += SETTINGS.live_pace * (passed - self._usual_s)
-        rate = self.tracker.settings.frame_rate
+        rate = self.member.tracker.settings.frame_rate
         if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
             pace = float(np.clip(1 / self._usual_s, SETTINGS.search_slowly_hz, self.rate))
-            self.member = replace(self.member, tracker=self.options.tracker(self.tracker.body, pace))
+            self.member = replace(self.member, tracker=self.options.tracker(self.member.tracker.body, pace))
 
     def _measure(self, frame: Frame) -> None:
         """Keep masks, and start the fits of body and camera offsets when there are enough."""
@@ -463,31 +451,23 @@ class LiveTrack(TrackedPerson):
 
     def _use_fitted_body(self) -> None:
         """Use the fitted body where it explains the last frame as well as the body before."""
-        frame, old = self._frame, self.tracker.body
+        frame, old, pose = self._frame, self.member.tracker.body, self.member.state.pose
         if self._fit is None or not self._fit.done() or frame is None:
             return
         body, self._fit = self._fit.result(), None
-        if body is None or self.state.lost:
+        if body is None or self.member.state.lost:
             return  # it is fitted again from later frames
-        before = refine(old, self.state.pose[None], prepare(frame, old, self.state.pose), SETTLING)[0].pose
-        moved = on_body(before, old, body)
+        before = refine(old, pose[None], prepare(frame, old, pose), SETTLING)[0].pose
+        moved = before.copy()  # the angles stay, and the mean of the joints stays in place
+        moved[:3] += (old.joints(before) - body.joints(before)).mean(0)
         prepared = prepare(frame, body, moved)
         after = refine(body, moved[None], prepared, SETTLING)[0].pose
         if mean_overlap(body, after, prepared) < mean_overlap(old, before, prepare(frame, old, before)):
             return
-        tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
-        state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
+        tracker = self.options.tracker(body, self.member.tracker.settings.frame_rate)
+        state = replace(tracker.start(after, self.member.state.memory), frames=1, usual_iou=self.member.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
         self.body, self.member, self._errors, self._duel = body, Member(tracker, state), LiveErrorModel(), None
-
-
-def on_body(pose: Array, before: Body, body: Body) -> Array:
-    """Transfer a pose (D,) to another body with the same joints: angles stay, and the mean of the joints stays in
-    place.
-    """
-    moved = pose.copy()
-    moved[:3] += (before.joints(pose) - body.joints(pose)).mean(0)
-    return moved
 
 
 class LiveErrorModel:
@@ -587,7 +567,7 @@ class LivePeople:
         """
         if not self.people:
             return self._search.phase
-        return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING
+        return STATE_LOST if all(p.member.state.lost for p in self.people) else STATE_TRACKING
 
     @property
     def fitted(self) -> bool:
@@ -626,8 +606,8 @@ class LivePeople:
             if p.given_up and self.alone:
                 self._known = p.body  # the next person counts as the same one
         people = [p for p in people if not p.given_up]
-        worse = doubles([p.recent for p in people])
-        session.people = [p for k, p in enumerate(people) if k not in worse]
+        part_doubles(people, _together(self._rate))
+        session.people = [p for p in people if p.member.present]
         if len(session.people) < self.most:
             self._look(frame)
 

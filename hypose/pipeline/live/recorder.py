@@ -18,8 +18,7 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.file_names import folder_for
-from hypose.io.files import RecordingFolder
+from hypose.io.files import RecordingFolder, folder_for
 from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import ViewSettings

@@ -121,8 +121,8 @@ def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
         for said in (
             b"\x00\xff",
             '{"t": "ack", "seq": [1]}' if "gesture" in path else '{"t": "start", "udp": [1]}',
-            '{"t": "start", "mode": "train", "source": "simulated:\u00b2", "gesture": "tee", "rate": 0}',
-            '{"t": "start", "mode": ["train"], "rate": 1e999}',
+            '{"t": "start", "mode": "train", "source": "simulated:\u00b2", "gesture": "tee", "udp": -1}',
+            '{"t": "start", "mode": ["train"], "udp": 1e999}',
             '{"t": "\\ud800"}',
             '{"t": "box", "x": ' + "[" * 500 + "]" * 500 + "}",
         ):

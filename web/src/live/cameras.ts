@@ -33,6 +33,7 @@ export function camerasLive(root: HTMLElement): Screen {
   const words = h("ul", { class: "live-words", "aria-live": "polite" });
   const said = { rate: h("b", { class: "number" }, "–"), latency: h("b", { class: "number" }, "–"), skipped: h("b", { class: "number" }, "–") };
   const form = h("div", { class: "live-form" });
+  const devices = h("datalist", { id: "live-devices" });
   const stages = h("p", { class: "dim live-stages" });
   const side = h(
     "aside",
@@ -89,7 +90,7 @@ export function camerasLive(root: HTMLElement): Screen {
       const found = await get<Recording>(`/api/recordings/${asked}`).catch(() => null);
       if (asked !== chosen) return;
       for (const { name } of found?.views ?? []) {
-        const input = h("input", { type: "text", maxlength: 500, spellcheck: "false", "aria-label": `Where ${name} is`, value: memory.get(`cameras.at.${name}`) ?? "" });
+        const input = h("input", { type: "text", list: devices.id, maxlength: 500, spellcheck: "false", "aria-label": `Where ${name} is`, value: memory.get(`cameras.at.${name}`) ?? "" });
         input.addEventListener("input", () => {
           memory.set(`cameras.at.${name}`, input.value.trim()); // the form may be made anew while somebody writes
           tellEmpty(inputs);
@@ -115,8 +116,9 @@ export function camerasLive(root: HTMLElement): Screen {
     answered = () => (start.disabled = false);
     form.replaceChildren(
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
-      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (0), or the address of a stream."),
+      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (a field lists those that were found), or the address of a stream."),
       where,
+      devices,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
       h("details", { open: osc.value !== "" || vmc.value !== "" }, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Record"), h("label", {}, record, "pictures, masks and poses")),
@@ -176,6 +178,7 @@ export function camerasLive(root: HTMLElement): Screen {
   const heard = (message: CamerasMessage): void => {
     if (message.t === "hello") {
       people ??= new People(message.joints, message.parents, space);
+      devices.replaceChildren(...message.devices.map(({ number, name }) => h("option", { value: number }, `${number}: ${name}`)));
       showRunning(message.running);
     } else if (message.t === "frame") {
       const [first] = message.people;

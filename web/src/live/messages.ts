@@ -44,7 +44,7 @@ export interface CameraPose {
   sd: (number | null)[];
 }
 export type CamerasMessage =
-  | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[] }
+  | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[]; devices: { number: number; name: string }[] }
   | { t: "frame"; people: CameraPose[] }
   | {
       t: "status"; phase: string; words: string[]; cameras: CameraStatus[]; poses: number; per_second: number; skipped: number;
