@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,11 +54,17 @@ def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
         hips do not determine how the pelvis turns about them, and small errors of theirs turn it far.
     """
     names = skeleton.dof_names
-    weight = np.array([next((w for part, w in _HELD.items() if part in name), 0.09) for name in names])
+    weight = np.array([_held(name) for name in names])
     weight[:6] = 0
-    if keypoints:
-        weight[[n == "spine_rx" for n in names]] = LUMBAR_SD**-2
+    if keypoints and "spine_rx" in names:
+        weight[names.index("spine_rx")] = LUMBAR_SD**-2
     return Quadratic(np.zeros(skeleton.dof), weight)
+
+
+@lru_cache(256)
+def _held(name: str) -> float:
+    """Look up the weight of a coordinate by its name."""
+    return next((weight for part, weight in _HELD.items() if part in name), 0.09)
 
 
 def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
@@ -292,6 +298,7 @@ NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
 """s to the furthest neighbours that are used; m/s^2, usual acceleration of a limb's joint"""
 
 
+@lru_cache(256)
 def joint_group(name: str) -> str:
     """Return the group of a joint by its name: arms (elbow, wrist), legs (knee, ankle), head, or torso (all others)."""
     if name.endswith(("elbow", "wrist")):
@@ -316,15 +323,18 @@ def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> P
     return PoseUncertainty(around.astype(np.float32), packed(np.linalg.inv(covariance)))
 
 
+_triangle = lru_cache(8)(np.tril_indices)
+
+
 def packed(information: Array) -> NDArray[np.float32]:
     """Pack a symmetric matrix (D, D) as its lower triangle (D (D + 1) / 2,), float32."""
-    return information[np.tril_indices(len(information))].astype(np.float32)
+    return information[_triangle(len(information))].astype(np.float32)
 
 
 def unpacked(triangles: ArrayLike, dof: int) -> Array:
     """Unpack lower triangles (T, D (D + 1) / 2) to symmetric matrices (T, D, D)."""
     triangles = np.asarray(triangles, dtype=np.float64)
-    rows, columns = np.tril_indices(dof)
+    rows, columns = _triangle(dof)
     out = np.zeros((len(triangles), dof, dof))
     out[:, rows, columns] = out[:, columns, rows] = triangles
     return out
