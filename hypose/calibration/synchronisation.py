@@ -31,6 +31,7 @@ from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, FrameSource, Keypoints, Silhouettes
 from hypose.evidence.keypoint_check import sizes
+from hypose.evidence.outlines import bounding_box
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
 
@@ -63,7 +64,7 @@ def offsets_from_motion(
     rig_of_masks = next((s.rig for s in silhouettes if s is not None), None)
     if rig_of_masks is not None:
         tracks = mask_tracks(silhouettes)
-        extent = np.nanmedian([np.ptp(h, axis=0).max() for t in tracks for h in t.outline if h is not None])
+        extent = np.nanmedian([np.ptp(t.outline, axis=1).max(1) for t in tracks])
         more = silhouette_curves(rig_of_masks, tracks, largest, max(float(extent) / 130, 0.5))
         curves = more if curves is None else curves + replace(more, cost=_MASK_SHARE * more.cost)
     if curves is None:
@@ -117,10 +118,10 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
         return before
     if share >= 1 - WHOLE or not before.any():
         return after
-    h, w = before.shape
-    size = np.array([[w, h], [w, h]])
-    d = signed_distance(np.stack([before, after]).astype(np.uint8), size)
-    mixed = ((1 - share) * d[0] + share * d[1] < 0).astype(np.uint8)
+    y0, y1, x0, x1 = bounding_box(before | after, 1) or (0, 0, 0, 0)
+    distance = [signed_distance(mask[y0:y1, x0:x1]) for mask in (before, after)]
+    mixed = np.zeros_like(before)
+    mixed[y0:y1, x0:x1] = (1 - share) * distance[0] + share * distance[1] < 0
     return mixed if mixed.any() else (before if share < 0.5 else after)
 
 
