@@ -130,7 +130,7 @@ def _scene(name: str, evidence: str, exchanged: bool, seed: int, data: Path) -> 
         if body is not None and evidence == "silhouettes":
             subject = known_subject(scene, body)
         elif body is not None:
-            how = SubjectOptions("keypoints", frame_rate=scene.frame_rate, body=body, known=True)
+            how = SubjectOptions("keypoints", frame_rate=scene.frame_rate, body=body)
             subject = find_subject(source.frame, len(source), how)
         return track_source(source, scene.frame_rate, TrackOptions(seed=seed, evidence=evidence), subject=subject)
 

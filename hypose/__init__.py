@@ -34,7 +34,7 @@ _PLACES = {
     "Camera": "hypose.cameras.camera",
     "CameraRig": "hypose.cameras.camera",
     "read_calibration": "hypose.io.calibrations.calibration_formats:read_any",
-    "write_calibration": "hypose.io.calibrations.calibration_text",
+    "write_calibration": "hypose.io.calibrations.calibration_formats",
     # frame by frame, with evidence of one's own
     "Frame": "hypose.evidence.frame",
     "Silhouettes": "hypose.evidence.frame",
@@ -55,8 +55,6 @@ _PLACES = {
     "kernels": "hypose.inference",
     "resampling": "hypose.inference",
     "SmoothedWeight": "hypose.inference.annealing",
-    "SurvivalRate": "hypose.inference.annealing",
-    "FixedAnnealingRate": "hypose.inference.annealing",
     "SilhouetteXor": "hypose.tracking.frame_evidence",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors

@@ -17,9 +17,7 @@ from hypose.fusion.fuse import fuse_clip as fuse_clip
 from hypose.fusion.people import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels
 from hypose.inference import resampling as resampling
-from hypose.inference.annealing import FixedAnnealingRate as FixedAnnealingRate
 from hypose.inference.annealing import SmoothedWeight as SmoothedWeight
-from hypose.inference.annealing import SurvivalRate as SurvivalRate
 from hypose.inference.hypotheses import Hypotheses as Hypotheses
 from hypose.inference.layer import Layer as Layer
 from hypose.inference.layer import Recipe as Recipe
@@ -27,7 +25,7 @@ from hypose.inference.layer import follow as follow
 from hypose.inference.layer import search as search
 from hypose.inference.layer import stream as stream
 from hypose.io.calibrations.calibration_formats import read_any as _read_calibration
-from hypose.io.calibrations.calibration_text import write_calibration as write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration as write_calibration
 from hypose.io.motions.export import export_motion as export_motion
 from hypose.io.motions.results import load_body as load_body
 from hypose.io.motions.results import load_motion as load_motion

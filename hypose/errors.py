@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Mapping
 from typing import Any
 
 # C0 and C1 except tab and newline, line and paragraph separators, marks of direction, single surrogates
@@ -45,6 +46,18 @@ class InputError(HyposeError):
 
 class CalibrationError(InputError):
     """A camera calibration that is missing, malformed or contradicts the images."""
+
+
+def refuse(where: str, faults: Mapping[str, Any], kind: type[HyposeError] = InputError) -> None:
+    """Raise an error that names the first fault that is there.
+
+    where: start of its sentence, such as the file.
+    faults: for each fault the rest of the sentence without its full stop, and whether it is there.
+    kind: class of the error.
+    """
+    for fault, there in faults.items():
+        if there:
+            raise kind(f"{where}{fault}.")
 
 
 class EvidenceError(HyposeError):

@@ -32,6 +32,12 @@ def skew(vector: ArrayLike) -> Array:
     return out - np.swapaxes(out, -1, -2)
 
 
+def unit(vector: ArrayLike) -> Array:
+    """Divide vectors (..., 3) by their lengths; a vector of length 0 stays 0."""
+    v = np.asarray(vector, dtype=np.float64)
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12)
+
+
 def so3_exp(rotation_vector: ArrayLike) -> Array:
     """Convert rotation vectors to rotation matrices with Rodrigues' formula.
 
@@ -192,21 +198,30 @@ def transform(motion: ArrayLike, points: ArrayLike) -> Array:
     return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
 
 
+def frame_of(first: ArrayLike, second: ArrayLike) -> Array:
+    """Make the rotation matrix (3, 3) of two directions (3,).
+
+    Its columns are `first`, the part of `second` across it, and their cross product, normalised.
+    """
+    a, b = unit(first), np.asarray(second, dtype=np.float64)
+    b = unit(b - (b @ a) * a)
+    return np.stack([a, b, np.cross(a, b)], axis=1)
+
+
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
     """Compute the smallest rotation that turns one direction into another.
 
     a, b: (3,) directions of any length.
     Returns: (3, 3) rotation matrix, R a parallel to b; for opposite directions the axis is any perpendicular one.
     """
-    u = np.asarray(a, dtype=np.float64) / np.linalg.norm(a)
-    v = np.asarray(b, dtype=np.float64) / np.linalg.norm(b)
+    u, v = unit(a), unit(b)
     axis = np.cross(u, v)
     sine, cosine = np.linalg.norm(axis), float(u @ v)
     if sine < 1e-12:
         if cosine > 0:
             return np.eye(3)
         axis = np.cross(u, np.eye(3)[int(np.abs(u).argmin())])  # opposite directions: any perpendicular axis serves
-        return so3_exp(np.pi * axis / np.linalg.norm(axis))
+        return so3_exp(np.pi * unit(axis))
     return so3_exp(axis / sine * np.arctan2(sine, cosine))
 
 

@@ -97,10 +97,6 @@ class Declared:
         """The option as it is written on the command line: --name, or --no-name for one that is on by default."""
         return self.option.flag or f"--{'no-' * (self.default is True)}{self.name.replace('_', '-')}"
 
-    def of(self, options: object) -> Any:  # noqa: ANN401
-        """Return the option's value in an instance of the dataclass that declares it."""
-        return getattr(options, self.name)
-
     def check(self, value: Any, name: str | None = None) -> Any:  # noqa: ANN401
         """Check a value.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.compute.compiled import VARIABLE, KernelCache, cache_folder, kernel
-from hypose.io.file_names import file_name, folder_for, text_of
+from hypose.io.files import file_name, folder_for, text_of
 
 _NAMES = ("cam 1", "Mädchen 走る", "../../x", "a\nb", "-rf", "C:\\con", "\x1b]0;t\x07", "n" * 120, 'it\'s "so" $(y)')
 FOLDER = "names"

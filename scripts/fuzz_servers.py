@@ -41,7 +41,7 @@ class _Servers:
     """Both servers in one loop of a thread of its own. Made once per process."""
 
     def __init__(self) -> None:
-        from hypose.app.live.live_server import FusionServerOptions, LiveServer
+        from hypose.app.live.live_server import LiveServer
         from hypose.app.studio.http import NotNow
         from hypose.app.studio.server import Studio, make_server, open_port
 
@@ -55,7 +55,7 @@ class _Servers:
 
         studio.jobs.start = studio.jobs.resume = no_jobs  # type: ignore[method-assign]
         self.studio = studio
-        self.live = LiveServer(FusionServerOptions(udp=0, ws=0, token=_TOKEN))
+        self.live = LiveServer(udp=0, ws=0, token=_TOKEN)
         listening, port = threading.Event(), open_port("127.0.0.1", 0)
         self.port = port.getsockname()[1]
 
@@ -259,7 +259,7 @@ def write_good(folder: Path) -> None:
     click = {"joint": "neck", "x": 40.5, "y": 30.0, "occluded": False}
     fit = {"recording": recording, "result": result, "frame": 0, "height": 1.75}
     fit["views"] = [{"camera": "cam1", "points": [click]}]
-    mask = "threshold=4&min_sd=5&shadow=true&close_px=5&shadow_range=0.4,0.9&method=gaussian"
+    mask = "settings=%7B%22threshold%22:4,%22shadow%22:true,%22shadow_range%22:[0.4,0.9]%7D"
     gets = [
         *(
             "/",

@@ -43,7 +43,7 @@ def targets() -> dict[str, Target]:
     from hypose.io.motions import meshes, results
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
-    from hypose.io.sensors.skeleton_streams import parse_line
+    from hypose.io.sensors.skeleton_files import parse_line
     from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 
@@ -183,11 +183,11 @@ def _live() -> Callable[[bytes], Any]:
     """A live server that takes line after line, as from UDP; its clock goes on by 10 ms per line."""
     import asyncio
 
-    from hypose.app.live.live_server import FusionServerOptions, LiveServer
+    from hypose.app.live.live_server import LiveServer
 
     loop = asyncio.new_event_loop()
     now = [0.0]
-    server = LiveServer(FusionServerOptions(udp=None, ws=None), clock=lambda: now[0])
+    server = LiveServer(udp=None, ws=None, clock=lambda: now[0])
 
     async def take(data: bytes) -> str | None:
         now[0] += 0.01
@@ -208,7 +208,7 @@ def write_good(folder: Path) -> None:
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
-    from hypose.io.calibrations.calibration_text import write_calibration
+    from hypose.io.calibrations.calibration_formats import write_calibration
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import Checkpoint, save_body, save_motion
     from hypose.io.sensors.depth import write_depth_png

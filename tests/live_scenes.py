@@ -17,8 +17,8 @@ from benchmarks.synthetic.virtual_cameras import there_and_back
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import CameraImage, StreamEnded
+from hypose.io.videos import video
+from hypose.io.videos.video import CameraImage, StreamEnded
 from hypose.pipeline.live import capture, engine, feeds
 from hypose.pipeline.live.capture import Capture, CaptureRequest, CaptureResult
 from hypose.pipeline.live.engine import LiveEngine, LiveResult
@@ -236,7 +236,7 @@ def in_step(
             searches.append(super().submit(*given, **named))
             return searches[-1]
 
-    for module in (camera_sources, capture, engine, feeds, *others):
+    for module in (video, capture, engine, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(engine, "CaptureProcess", made := partial(CaptureInStep, clock, searches, pause))

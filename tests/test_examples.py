@@ -16,8 +16,8 @@ from benchmarks.bench_list import find_benchmark
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import read_table
 from hypose.app.cli import app
-from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.sensors.skeleton_streams import format_line
+from hypose.io.calibrations.calibration_formats import write_calibration
+from hypose.io.sensors.skeleton_files import format_line
 from scripts import docs
 from scripts.commands_page import commands_page
 from scripts.words import found_in_page

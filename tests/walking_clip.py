@@ -6,7 +6,7 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.default_body import human
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.start_search import KNOWN_POSES, scaled_to_height, start_in_pose
+from hypose.tracking.start_search import scaled_to_height, starts_in_frame
 from hypose.tracking.tracker import Tracker
 
 
@@ -15,5 +15,5 @@ def walking_clip(n):
     scene = small_scene(1, n)
     frames = list(scene.mask_frames())
     body = scaled_to_height(human(), scene.subject.stature)
-    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
+    start = starts_in_frame(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), body.stature)[0].pose
     return scene, frames, Tracker(body, default(body, particles=64)), start

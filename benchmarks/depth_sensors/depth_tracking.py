@@ -34,11 +34,11 @@ from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult
 from hypose.pipeline.live.live_people import LivePersonOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.sources import FrameList
@@ -238,7 +238,7 @@ def _sdk(scene: DepthScene, seed: int) -> float:
     cameras = np.stack([c.camera_from_world for c in scene.rig])
     rng = np.random.default_rng([seed, 9])
     recording = simulate(joints, heading, cameras, rng, SensorModel(), np.zeros((0, 7)))
-    fused = fuse_clip(recording.frames(), "fit", FusionSettings(seed=seed))
+    fused = fuse_clip(recording.frames(), "fit")
     away = np.linalg.norm(common_positions(fused.motion) - recording.truth_in(0), axis=-1)
     return 1e3 * float(np.nanmean(away))
 
@@ -391,7 +391,7 @@ def _away(motion: Motion, scene: DepthScene) -> Array:
     return np.linalg.norm(scene.joints - aligned(motion, scene), axis=-1)[:, EVALUATED].mean(1)
 
 
-class _Late:
+class _Late(Listener):
     """A listener that notes how late each pose is, s."""
 
     def __init__(self) -> None:
@@ -401,9 +401,6 @@ class _Late:
         """See `Listener`."""
         if seen.poses:
             self.late.append(time.monotonic() - seen.captured.arrival)
-
-    def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
 
 
 def live_depth(seed: int, quick: bool) -> dict[str, Any]:
@@ -417,7 +414,7 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         found = live_rig(folder, {})
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
         capture = CaptureOptions(found.rate, 0.0, found.silhouettes)
-        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(capture, person), [listener])
+        engine = LiveEngine(found.rig, found.views, capture, person, listeners=[listener])
         try:
             engine.start()
             engine.ended.wait(seconds + 10)

@@ -22,8 +22,8 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.align import Instant, SensorBody, SensorView
-from hypose.fusion.fit import LARGE_ERROR_M, FitSettings, fit_step, start_fit
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
+from hypose.fusion.fit import LARGE_ERROR_M, fit_step, start_fit
+from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import common_joints, register
 from hypose.geometry import Array, transform
@@ -50,7 +50,7 @@ def human4d(options: BenchOptions) -> BenchReport:
                 if method == "best_single":
                     value = _best_single(recording)
                 else:
-                    fused = None if method in BASELINES else fuse_clip(frames, method, FusionSettings(seed=s))
+                    fused = None if method in BASELINES else fuse_clip(frames, method, seed=s)
                     joints = fuse_baseline(frames, method) if fused is None else common_positions(fused.motion)
                     error = np.linalg.norm(joints - truth, axis=-1)
                     value = float(np.nanmean(error))
@@ -85,7 +85,7 @@ def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
     counted."""
     state, errors, unknown = start_fit(), [], np.full((len(frames[0].state), 3), np.nan)
     for t, (frame, world) in enumerate(zip(frames, _causal_world(frames), strict=True)):
-        state, fused = fit_step(state, world, frame.state, float(np.nanmax(frame.times)), FitSettings(), unknown)
+        state, fused = fit_step(state, world, frame.state, float(np.nanmax(frame.times)), unknown)
         if t >= min(5 * FRAME_RATE, len(frames) // 2):
             errors.append(np.linalg.norm(fused.joints - truth[t], axis=-1))
     return float(np.mean(errors))
@@ -149,7 +149,7 @@ def sensor_left_out(frames: list[SensorJoints], name: str, found: dict[tuple[str
     for kept in range(2):
         alone = np.where(np.arange(2)[:, None, None] == kept, positions, np.nan)
         one = [replace(f, positions=alone[t]) for t, f in enumerate(frames)]
-        motions.append(fuse_clip(one, "fit", FusionSettings(check=False), registration).motion)
+        motions.append(fuse_clip(one, "fit", registration).motion)
     order = [motions[0].skeleton.joint(n) for n in jt.COMMON]
     for kept, motion in enumerate(motions):
         away = np.linalg.norm(common_positions(motion) - world[:, 1 - kept], axis=-1)
@@ -211,7 +211,7 @@ def _measure_pair(frames: list[SensorJoints], name: str, found: dict[tuple[str, 
         add("agreement_mm", case, float(np.nanmedian(np.linalg.norm(world[:, 0] - world[:, 1], axis=-1))))
     fused = {"mean": fuse_baseline(frames, "weighted_mean", registration)}
     for method in ("fit", "swarm"):
-        result = fuse_clip(frames, method, FusionSettings(check=False), registration)
+        result = fuse_clip(frames, method, registration)
         fused[method] = common_positions(result.motion)
     for label, joints in fused.items():
         for metric, value in (("bone_sd_mm", bone_sd(joints)), ("jitter_mm", jitter(joints))):

@@ -13,7 +13,7 @@ from benchmarks.depth_sensors.replay import replay
 from benchmarks.synthetic.sensors import SensorRecording
 from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
-from hypose.fusion.fit import FitSettings, fit_step, start_fit
+from hypose.fusion.fit import fit_step, start_fit
 from hypose.fusion.fuse import fuse_clip
 from hypose.fusion.people import LiveFuser
 from hypose.fusion.register import Registration, register
@@ -59,7 +59,7 @@ def _six_persons(frames: list[SensorJoints], world: Array, repeats: int) -> floa
         for t, frame in enumerate(frames):
             begin = time.perf_counter()
             for p in range(6):
-                states[p], _ = fit_step(states[p], world[t], frame.state, frame.times[0], FitSettings(), eyes)
+                states[p], _ = fit_step(states[p], world[t], frame.state, frame.times[0], eyes)
             best[t] = min(best[t], time.perf_counter() - begin)
     return float(1e3 * best.mean())
 

@@ -59,7 +59,7 @@ class Case:
 def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
     """Lambda (T, K, 15) of every frame."""
     sensors = recording.positions.shape[1]
-    memory = start_confidence(sensors, settings.confidence)
+    memory = start_confidence(sensors)
     inputs = np.empty((len(recording), 3, sensors, 15))
     for t in range(len(recording)):
         memory, raw = confidence_step(
@@ -68,9 +68,9 @@ def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
             recording.state[t],
             [recording.joint_depth[t]],
             np.full(sensors, recording.times[t]),
-            settings.confidence,
+            settings.cured,
         )
-        inputs[t] = normalised(raw, settings.confidence)
+        inputs[t] = normalised(raw, settings.cured)
     return settings.rules.noise(*np.moveaxis(inputs, 0, 1))
 
 

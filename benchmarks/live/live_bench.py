@@ -26,7 +26,7 @@ from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.track import track
@@ -128,14 +128,11 @@ def _memory(seconds: float, seed: int) -> dict[str, Any]:
     return {"rows": [_plain(Row("memory_growth_mib", "30 min", float(fit), "MiB", n=len(settled)))]}
 
 
-class _Memory:
+class _Memory(Listener):
     """A listener that looks at what this process and those it has started need."""
 
     def __init__(self) -> None:
         self.known: list[tuple[float, float]] = []
-
-    def seen(self, seen: LiveResult) -> None:
-        """See `Listener`."""
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
@@ -190,7 +187,7 @@ def _decoding(clips: Sequence[Sequence[bytes]]) -> float:
         return len(shots) / (time.perf_counter() - begin)
 
 
-class _Kept:
+class _Kept(Listener):
     """A listener that keeps the poses."""
 
     def __init__(self) -> None:
@@ -199,9 +196,6 @@ class _Kept:
     def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         self.poses += seen.poses
-
-    def status(self, status: LiveStatus) -> None:
-        """See `Listener`."""
 
 
 def _run(
@@ -223,9 +217,9 @@ def _run(
     addresses, begin = here.recv()
     views = tuple(replace(v, address=a) for v, a in zip(cameras.views, addresses, strict=True))
     kept = _Kept()
-    options = LiveTrackingOptions(CaptureOptions(rate, silhouettes=cameras.silhouettes))
+    options = CaptureOptions(rate, silhouettes=cameras.silhouettes)
     listeners = [x for x in (kept if keep else None, listener) if x is not None]
-    engine = LiveEngine(cameras.rig, views, options, listeners)
+    engine = LiveEngine(cameras.rig, views, options, listeners=listeners)
     try:
         engine.start()
         until = time.monotonic() + 60

@@ -25,8 +25,8 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import search, stream
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.subject import (
-    AnthropometryOptions,
     SubjectEstimate,
+    SubjectOptions,
     TrackedSubject,
     estimate_subject,
     first_start,
@@ -37,7 +37,7 @@ from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 from hypose.tracking.frame_evidence import keypoint_model, prepare
-from hypose.tracking.start_search import scaled_to_height
+from hypose.tracking.start_search import Start, scaled_to_height
 
 SCALE = 0.5
 """Masks are made at this share of the cameras' size (320 x 240)."""
@@ -114,11 +114,11 @@ def held_pose(name: str, subject: SyntheticSubject, frames: int = 8, frame_rate:
 def fit_scene(scene: Scene, pose: str | None) -> tuple[SubjectEstimate, float]:
     """The fitted subject of a scene and the seconds it took by the clock, evidence given."""
     frames = list(scene.mask_frames(SCALE))
-    how = AnthropometryOptions()
+    how = SubjectOptions(frame_rate=scene.frame_rate, frames=10, tracked=36, passes=2)
     if pose is not None:
-        how = replace(how, poses=(pose,), rate=25.0, frames=4)
+        how = replace(how, start=pose, rate=25.0, frames=4)
     begin = time.perf_counter()
-    estimate = estimate_subject(lambda i: frames[i], len(frames), scene.frame_rate, human(), how)
+    estimate = estimate_subject(lambda i: frames[i], len(frames), how)
     return estimate, time.perf_counter() - begin
 
 
@@ -284,7 +284,10 @@ def subject_balancing(options: BenchOptions) -> BenchReport:
         }
         for k, (case, start) in enumerate(starts.items()):
             options.progress(case, k, 2)
-            found = estimate_subject(without.frame, n, rate, template, None, start)
+            tried = () if start is None else ((0, Start(template, start, 0.0)),)
+            found = estimate_subject(
+                without.frame, n, SubjectOptions(frame_rate=rate, tried=tried, frames=10, passes=2)
+            )
             model = keypoint_model(found.body, BODY_25B)
             subject = TrackedSubject(found.body, model, found.start, found.notes)
             result = track_source(FirstFrames(without, n), rate, TrackOptions(), subject=subject)

@@ -171,6 +171,12 @@ class Tracked:
         assert added.angle_sd is not None
         return added.joint_covariance[..., 0, 0].astype(np.float64), added.angle_sd.astype(np.float64) ** 2
 
+    @property
+    def on_top(self) -> Array:
+        """(T, J, 3, 3) m^2: what is added to a^2 V + b^2: the systematic error, and that of joints elsewhere."""
+        assert self.motion.systematic_covariance is not None
+        return self.motion.systematic_covariance + self.elsewhere[0][..., None, None] * np.eye(3)
+
 
 def cases_of(seed: int) -> list[str]:
     """The cases that a seed shows."""
@@ -315,7 +321,7 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
         if evidence == "silhouettes":
             subject = known_subject(scene, _body(seed, "silhouettes"))
         else:
-            how = SubjectOptions("keypoints", frame_rate=rate, body=_body(seed, "keypoints"), known=True)
+            how = SubjectOptions("keypoints", frame_rate=rate, body=_body(seed, "keypoints"))
             subject = find_subject(source.frame, len(source), how)
     result = track_source(source, rate, options, subject=subject)
     assert result.one_by_one is not None and result.audit is not None

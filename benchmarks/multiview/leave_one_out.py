@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks.bench_report import Row
 from benchmarks.multiview.pose2sim_method import pose2sim_points
-from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
@@ -110,7 +109,7 @@ def _methods(frames: Sequence[Frame], rig: CameraRig, rate: float) -> dict[str, 
 
 def solved_clip(frames: Sequence[Frame], rate: float) -> tuple[TrackedSubject, Array]:
     """The subject of key points alone and its poses (T, D), the clip solved as one."""
-    subject = find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=rate, body=human()))
+    subject = find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=rate))
     assert subject.keypoints is not None
     poses, _ = solve_keypoint_clip(subject.body, subject.keypoints, [_given(f) for f in frames], subject.start, rate)
     return subject, poses

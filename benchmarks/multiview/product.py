@@ -11,7 +11,7 @@ from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.sources import FrameList
-from hypose.pipeline.subject import AnthropometryOptions, SubjectOptions, estimate_subject, find_subject
+from hypose.pipeline.subject import SubjectOptions, estimate_subject, find_subject
 from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.metrics import population_offsets, with_offsets
@@ -25,8 +25,8 @@ def estimated_body(seed: int, options: BenchOptions) -> Body:
     """The body of a seed's subject from the silhouettes of another clip (combo), as `hypose track` estimates it."""
     scene = action_scene("combo", seed, BODY_SECONDS, options)
     frames = list(scene.mask_frames(1.0))
-    how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
-    return estimate_subject(lambda i: frames[i], len(frames), scene.frame_rate, human(), how).body
+    how = SubjectOptions(frame_rate=scene.frame_rate, seed=seed)
+    return estimate_subject(lambda i: frames[i], len(frames), how).body
 
 
 def product_motion(scene: Scene, frames: list[Frame], body: Body, seed: int) -> Motion:
@@ -46,7 +46,7 @@ def body_by_keypoints(seed: int, options: BenchOptions) -> Body:
 def keypoint_motions(scene: Scene, frames: list[Frame], body: Body, seed: int) -> dict[str, Motion]:
     """Motions of frames with key points and silhouettes by the evidence used, 'keypoints' and 'both': with a body,
     start, offsets and noise of the key points from the clip itself."""
-    how = SubjectOptions("keypoints", frame_rate=scene.frame_rate, body=body, known=True)
+    how = SubjectOptions("keypoints", frame_rate=scene.frame_rate, body=body)
     subject = find_subject(lambda i: frames[i], len(frames), how)
     return {
         evidence: track_source(

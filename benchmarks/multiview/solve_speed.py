@@ -14,12 +14,12 @@ from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
-from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
+from hypose.fitting import PoseFit, Quadratic, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.tracking.frame_evidence import keypoint_term
-from hypose.tracking.refinement import anatomical_prior, prediction_prior
+from hypose.tracking.refinement import anatomical_prior
 
 _FAST, _LONG = SolveSettings(), SolveSettings(iterations=60, coarse_iterations=4, tolerance=1e-6)
 _GAIN = 0.8
@@ -75,7 +75,7 @@ def _slow_term(frame: Frame) -> ContourTerm:
 def _solve(
     body: Body, q: Array, contours: ContourTerm | None, points: KeypointTerm | None, options: SolveSettings
 ) -> PoseFit:
-    priors = (anatomical_prior(body.skeleton), prediction_prior(q, 0.1))
+    priors = (anatomical_prior(body.skeleton), Quadratic(q, np.full(len(q), 0.1)))
     return fit_pose(body, q, [t for t in (contours, points) if t is not None], priors=priors, options=options)
 
 

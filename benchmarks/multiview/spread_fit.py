@@ -88,17 +88,18 @@ def _reach(dimensions: int) -> Array:
 
 
 Families = Sequence[tuple[Array, Array, Array]]
-"""Errors, what is said of them, and the variance (N,) that comes on top, of each family of clips."""
+"""Errors, what is said of them, and the variance that comes on top, of each family of clips."""
 
 
 def fit_joint(families: Families, slack: float = 0.0, least_a: float = 0.0) -> tuple[float, float]:
     """a, b (m) of one kind of joint, from (N, 3) m from the estimates to the truth, covariances (N, 3, 3), and what
-    comes on top (N,) m^2, of each family; see `_least`."""
+    comes on top (N, 3, 3) m^2, of each family; see `_least`."""
     made = []
     for away, covariance, more in families:
         few = slice(None, None, max(1, len(away) // 4000))
         values, vectors = np.linalg.eigh(covariance[few])
-        made.append((np.einsum("nab,na->nb", vectors, away[few]) ** 2, values, more[few, None] + 1e-9))
+        along = np.einsum("nab,nac,ncb->nb", vectors, more[few], vectors)  # along the axes of V
+        made.append((np.einsum("nab,na->nb", vectors, away[few]) ** 2, values, along + 1e-9))
     return _least(made, _B_M, slack, least_a)
 
 
@@ -143,10 +144,9 @@ def _surprise(m2: Array, variances: Array) -> float:
 
 def family_of(c: Tracked) -> str:
     """cameras: captured motion through the cameras of a recording, points that err like a detector's; of depth, the
-    number of sensors; of the other scenes those that are spoilt, and those that are not."""
-    if c.evidence == "depth":
-        return c.case
-    return "cameras" if c.case in CAMERAS else "scenes" if c.kind == "plain" else "spoilt"
+    number of sensors; scenes: all others. Scenes that are not spoilt are too few to be a family: their persons' offsets
+    would set b."""
+    return c.case if c.evidence == "depth" else "cameras" if c.case in CAMERAS else "scenes"
 
 
 def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str, dict[str, Any]]:
@@ -159,7 +159,7 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
             continue
         usual, calm = float("inf"), own
         if evidence == "silhouettes":
-            usual = float(np.median([views_apart(c.audit) for c in own if family_of(c) != "spoilt"]))
+            usual = float(np.median([views_apart(c.audit) for c in own]))
             calm = [c for c in own if beyond(c, usual) <= usual]
         families = [[c for c in calm if family_of(c) == f] for f in sorted({family_of(c) for c in calm})]
         joints: dict[str, tuple[float, float]] = {}
@@ -215,8 +215,7 @@ def as_told(c: Tracked) -> Motion:
 def joint_squares(c: Tracked, joint: int, pairs: Pairs, more: float) -> Array:
     """(T,) distances squared of a joint, in its covariances by pairs a, b, and more m of sd."""
     a, b = pairs.get(kind_of(JOINT_NAMES[joint]), (1.0, 0.0))
-    around = c.motion.joint_covariance[:, joint].astype(np.float64)
-    around = around + ((c.elsewhere[0][:, joint] + more**2) / a**2)[:, None, None] * np.eye(3)
+    around = c.motion.joint_covariance[:, joint] + (c.on_top[:, joint] + more**2 * np.eye(3)) / a**2
     return squares(c.away[:, joint], around, a, b)
 
 
@@ -239,7 +238,7 @@ def _of_kind(clips: Sequence[Tracked], kind: str) -> tuple[Array, Array, Array]:
     which = [j for j in EVALUATED if kind_of(JOINT_NAMES[j]) == kind]
     away = np.concatenate([c.away[:, which].reshape(-1, 3) for c in clips])
     around = np.concatenate([c.motion.joint_covariance[:, which].reshape(-1, 3, 3) for c in clips]).astype(np.float64)
-    more = np.concatenate([c.elsewhere[0][:, which].ravel() for c in clips])
+    more = np.concatenate([c.on_top[:, which].reshape(-1, 3, 3) for c in clips])
     known = np.isfinite(around).all((1, 2))
     return away[known], around[known], more[known]
 

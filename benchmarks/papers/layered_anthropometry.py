@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -20,8 +21,8 @@ from hypose.body.body import Body, Landmarks
 from hypose.body.default_body import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
-from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate
-from hypose.inference.estimates import TangentMean
+from hypose.inference.annealing import SmoothedWeight
+from hypose.inference.estimates import tangent_mean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, layered_sigma
 from hypose.inference.layer import Layer, Recipe
@@ -139,11 +140,12 @@ def anthropometry_recipe(
         own = np.zeros(K + s.dof)
         # the first four layers anneal the same coordinates; afterwards each layer moves its own
         own[psi[n]] = layered_sigma(sigma, psi[:4], nu, n)[psi[n]] if n < 4 else sigma[psi[n]]
-        rate: AnnealingRate = SurvivalRate(0.15) if betas is None else FixedAnnealingRate(betas[n])
         kernel = RejectionSampling(GaussianDiffusion(own, lower, upper), SizePrior(light), 0.7, 10)
-        layers.append(Layer(kernel, SmoothedWeight(ShapeXor(light), rate), systematic, name))
+        weigh = SmoothedWeight(ShapeXor(light), 0.15, None if betas is None else betas[n])
+        layers.append(Layer(kernel, weigh, systematic, name))
     balls = tuple(int(K + b) for b in s.ball_starts)
-    return Recipe("anthropometry", layers, particles, ("silhouettes",), estimate=TangentMean(balls), citation=THESIS)
+    mean = partial(tangent_mean, rotations=balls)
+    return Recipe("anthropometry", layers, particles, ("silhouettes",), estimate=mean, citation=THESIS)
 
 
 def _coordinates(skeleton: Skeleton, entities: tuple[str, ...], joints: tuple[str, ...]) -> np.ndarray:

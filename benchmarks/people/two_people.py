@@ -17,9 +17,8 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
 from hypose.geometry import Array
-from hypose.io.recordings.frames import working_rig
+from hypose.io.recordings.frames import load_person, working_rig
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import load_person
 from hypose.io.videos.video import open_video
 from hypose.pipeline.sources import FrameList
 from hypose.pipeline.track import track_source

@@ -18,7 +18,7 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import keypoint_names, landmark_of
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.files import toml_value
 
 RATE = 25.0

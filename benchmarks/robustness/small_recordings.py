@@ -16,9 +16,9 @@ from hypose.app.live.simulated_sensors import builtin_joints, ring_sensors
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
-from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
+from hypose.io.sensors.skeleton_files import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from hypose.synthetic.write_recording import board_from_sheet, board_sheet

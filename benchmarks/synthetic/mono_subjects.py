@@ -19,13 +19,13 @@ from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
 from hypose.synthetic.subjects import SyntheticSubject
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.subject import PAIRED, TRUNK_SEGMENTS, shape_from_keypoints
+from hypose.tracking.subject import PAIRED, shape_from_keypoints
 
 LIMBS = tuple(f"{side}_{a}" for side in ("left", "right") for pair in PAIRED.values() for a in pair)
 """The joints whose distances are the measured lengths."""
 GIRTHS: dict[str, tuple[tuple[str, int | None], ...]] = {
-    "torso width": tuple((j, 0) for j in TRUNK_SEGMENTS),
-    "torso depth": tuple((j, 1) for j in TRUNK_SEGMENTS),
+    "torso width": tuple((j, 0) for j in ("pelvis", "spine", "chest")),
+    "torso depth": tuple((j, 1) for j in ("pelvis", "spine", "chest")),
     "upper arms": (("left_shoulder", None), ("right_shoulder", None)),
     "forearms": (("left_elbow", None), ("right_elbow", None)),
     "thighs": (("left_hip", None), ("right_hip", None)),

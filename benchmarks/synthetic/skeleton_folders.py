@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.io.sensors.skeleton_files import FolderWriter
-from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.io.sensors.skeleton_files import FolderWriter, SkeletonRecording
 
 
 def write_folder(recording: SkeletonRecording, folder: str | Path) -> None:

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from hypose import FixedAnnealingRate, Hypotheses, Layer, Recipe, SmoothedWeight, follow, kernels, resampling
+from hypose import Hypotheses, Layer, Recipe, SmoothedWeight, follow, kernels, resampling
 
 NOISE, NU, N = 0.01, 0.3, 20  # m, decay of the steps from layer to layer, particles of a layer
 sigma, links = np.full(3, 0.3), np.array([0.35, 0.3, 0.2])  # rad per frame (Sigma_0), m
@@ -23,7 +23,7 @@ def places(angles):
 def cost(last):
     """The energy of the points up to link `last`."""
     off = lambda h, seen: (places(h.values) - seen)[:, : last + 1] / NOISE  # noqa: E731
-    return SmoothedWeight(lambda h, seen: 0.5 * np.square(off(h, seen)).sum((1, 2)), FixedAnnealingRate(1.0))
+    return SmoothedWeight(lambda h, seen: 0.5 * np.square(off(h, seen)).sum((1, 2)), beta=1.0)
 
 
 t = np.arange(80) / 25

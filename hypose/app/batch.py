@@ -27,15 +27,14 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, Stages, each, ignore
 from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run_job, split_names
-from hypose.app.options import TrackCommand
+from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, read_json, text_lines, write_text
+from hypose.io.files import check_writable, file_name, read_json, text_lines, write_text
 from hypose.io.motions.results import provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
-from hypose.pipeline.comparison import compare_with
+from hypose.pipeline.comparison import compare_with_truth
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -51,8 +50,6 @@ _TOPIC = "hypose-batch"
 _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
 _PATIENCE = "300s"  # a worker of a busy machine takes long to start, the first time and again
-_FILES: Mapping[str, Any] = {"formats": "trc,csv", "overlay": False}
-"""Options of the files that are written for each recording by default."""
 _COLUMNS_OF_TRACK = {
     d.flag.removeprefix("--").removeprefix("no-"): d
     for d in declared(TrackCommand)
@@ -85,7 +82,8 @@ class Task:
         """
         job = job_of(replace(self.command, out=self.results, resume=True, report=True))
         truth = job.recording.folder / "truth.npz"
-        return replace(job, truth=compare_with(truth, job.recording.frames.start) if truth.is_file() else None)
+        compared = partial(compare_with_truth, truth, first=job.recording.frames.start)
+        return replace(job, truth=compared) if truth.is_file() else job
 
     @property
     def written(self) -> dict[str, Any]:
@@ -96,7 +94,7 @@ class Task:
 # ---- tasks ---------------------------------------------------------------------------------------------------
 
 
-def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
+def read_table(path: Path, **more: Any) -> list[Task]:  # noqa: ANN401 (of different types)
     """Read a CSV table of recordings, one task per row.
 
     path: table with the columns recording, name and those of `_COLUMNS_OF_TRACK`; paths in it are relative to its
@@ -120,9 +118,8 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
             options = {_COLUMNS_OF_TRACK[name].name: _COLUMNS_OF_TRACK[name].parse(v) for name, v in given.items()}
             for name in options.keys() & {"subject", "calibration"}:
                 options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
-            command = TrackCommand(
-                recording=path.parent / Path(row["recording"].strip()).expanduser(), **{**more, **options}
-            )
+            recording = path.parent / Path(row["recording"].strip()).expanduser()
+            command = TrackCommand(recording=recording, **{**recorded_options(recording), **more, **options})
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
@@ -131,7 +128,7 @@ def read_table(path: Path, more: Mapping[str, Any] = _FILES) -> list[Task]:
     return tasks
 
 
-def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task]:
+def wanted(given: Sequence[Path], **more: Any) -> list[Task]:  # noqa: ANN401 (of different types)
     """List the tasks of a command line: the rows of a table, or the recordings among some paths.
 
     given: one table (.csv), or paths; those that are no recording are left out, because wildcards name other files too.
@@ -139,14 +136,14 @@ def wanted(given: Sequence[Path], more: Mapping[str, Any] = _FILES) -> list[Task
     Raises: InputError where there is no recording.
     """
     if given[0].suffix.lower() == ".csv":
-        return read_table(given[0], more)
+        return read_table(given[0], **more)
     folders = [p for p in given if (p / "recording.toml").is_file() or is_project(p)]
     if not folders:
         raise InputError(
             f"{given[0]} is neither a table (.csv) nor the folder of a recording; for all recordings in a folder give "
             f"{given[0]}/*, see docs/batch.md."
         )
-    return [Task(TrackCommand(recording=p, **more)) for p in folders]
+    return [Task(TrackCommand(recording=p, **{**recorded_options(p), **more})) for p in folders]
 
 
 def ordered_tasks(
@@ -165,14 +162,13 @@ def ordered_tasks(
             job = task.job
             name = job.recording.name
             # which recording it is decides where the results lie, so it is a part of the key
-            who = to_json({"recording": name, **provenance_identity(record_of(job))})
-            key = hashlib.sha256(who.encode()).hexdigest()[:16]
+            decisive = to_json({"recording": name, **provenance_identity(record_of(job))})
+            key = hashlib.sha256(decisive.encode()).hexdigest()[:16]
             folder = results / file_name(name) / f"{file_name(task.name)}-{key[:8]}"
             tasks[key] = replace(task, key=key, recording=name, frames=len(job.recording.frames), results=folder)
         except HyposeError as error:
-            refused.append(
-                {"recording": task.command.recording.name, "name": task.name, "state": "failed", "message": str(error)}
-            )
+            who = {"recording": task.command.recording.name, "name": task.name}
+            refused.append({**who, "state": "failed", "message": str(error)})
     return list(tasks.values()), refused
 
 
@@ -237,8 +233,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         input that cannot be used fails, because a second attempt would fail too.
     Raises: other exceptions of tracking.
     """
-    known = finished_metrics(task)
-    if known is not None:
+    if (known := finished_metrics(task)) is not None:
         return known
     stages = Stages(quiet=True)
 
@@ -322,16 +317,16 @@ def run_batch(
         finally:
             with contextlib.suppress(OSError):
                 stop.unlink(missing_ok=True)
-    rows = []
-    for task in tasks:
-        who = {
+    return [
+        {
+            **out.get(task.key, _stopped("stopped")),
             "recording": task.recording,
             "name": task.name,
             "key": task.key,
             "results": Path(os.path.relpath(task.results, results)).as_posix(),
         }
-        rows.append({**out.get(task.key, _stopped("stopped")), **who})
-    return rows
+        for task in tasks
+    ]
 
 
 def _collect(
@@ -373,12 +368,12 @@ def _result(future: Future) -> dict[str, Any]:
     """Return the figures of a finished future, or state "failed" and why."""
     from distributed.scheduler import KilledWorker
 
-    error = future.exception()
-    if error is None:
+    try:
         return dict(future.result())
-    reason = f"this should not have happened ({type(error).__name__}: {error}); please report it"
-    if isinstance(error, KilledWorker):
+    except KilledWorker:
         reason = "its worker died every time (out of memory?); what was tracked is kept, run the batch again"
+    except Exception as error:  # of any kind that a task can end with
+        reason = f"this should not have happened ({type(error).__name__}: {error}); please report it"
     return {"state": "failed", "message": reason}
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import click
 
 from hypose.app import options
-from hypose.errors import HyposeError
+from hypose.errors import HyposeError, visible
 from hypose.options import RESEARCH, THREAD_VARIABLES, Declared, declared
 
 CommandTable = Mapping[str, Mapping[str, tuple[Any, str]]]
@@ -185,6 +185,8 @@ def _parameter(d: Declared) -> click.Parameter:
     if d.option.choices and d.option.value:
         about["help"] += f" One of {', '.join(d.option.choices)}."
     if d.option.argument:
+        if d.name == "recording":
+            about |= {"callback": _keep_options, "is_eager": True}
         return click.Argument([d.name], nargs=-1 if d.many else 1, required=required, **about)
     flags = d.flag
     if d.kind is bool:
@@ -198,6 +200,13 @@ def _parameter(d: Declared) -> click.Parameter:
     out = click.Option([flags, d.name], callback=lambda ctx, param, value: d.check(value), **about)
     out.group = d.option.group  # pyright: ignore[reportAttributeAccessIssue] (for the help)
     return out
+
+
+def _keep_options(ctx: click.Context, param: click.Parameter, recording: Path) -> Path:
+    """Take the defaults of `hypose track` from the recording, before its other options are read."""
+    if ctx.command.name == "track":
+        ctx.default_map = options.recorded_options(recording)
+    return recording
 
 
 def _version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
@@ -224,12 +233,10 @@ def run_cli(arguments: Sequence[str] | None = None, command: click.Command = app
 
     Exit codes: 0 for success, 1 for findings and for bugs, 2 for errors that the user can correct, 130 after Ctrl-C;
         others are those of the commands.
-    arguments: default: those of the process; then some of its settings are adapted as well.
+    arguments: default: those of the process.
     command: group of commands, `hypose` by default.
     name: name of the program, for the help.
     """
-    if arguments is None:
-        _read_names_as_utf8()
     for stream in (sys.stdout, sys.stderr):  # what the terminal has no letters for is no reason to fail
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -286,16 +293,6 @@ def _foreseen(error: Exception) -> str:
     return f"{what}: {reason}; look whether it is there and you may read and write it, and run the same command again."
 
 
-def _read_names_as_utf8() -> None:
-    """Start the process again in Python's UTF-8 mode under a locale that has only ASCII (LC_ALL=C PYTHONUTF8=0).
-
-    Why: otherwise Python cannot open a file whose name, read from another file, has other letters.
-    """
-    if sys.getfilesystemencoding() == "ascii" and os.environ.get("PYTHONUTF8") != "1":
-        with contextlib.suppress(OSError):
-            os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, "PYTHONUTF8": "1"})
-
-
 def _fail(sentence: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
@@ -304,4 +301,4 @@ def _fail(sentence: str, debug: bool) -> None:
 
         console.error(sentence)
     except (ImportError, OSError, MemoryError):  # no memory is left for the colours of the terminal
-        sys.stderr.write(f"error: {sentence}\n")
+        sys.stderr.write(f"error: {visible(sentence)}\n")

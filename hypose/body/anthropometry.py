@@ -95,7 +95,7 @@ TABLE_2_1: dict[str, tuple[float, float]] = {
 _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
-def _shape_of(log_factors: ArrayLike) -> Shape:
+def shape_of(log_factors: ArrayLike) -> Shape:
     """Convert log factors (K,) in the order of SHAPE_FACTORS into the Shape that `deform` applies."""
     x = np.asarray(log_factors, dtype=np.float64)
     if x.shape != (len(SHAPE_FACTORS),):
@@ -134,7 +134,7 @@ def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body
     Raises: InputError where the number of factors is wrong.
     """
     x = np.asarray(factors, dtype=np.float64)
-    shaped = deform(template, _shape_of(x))
+    shaped = deform(template, shape_of(x))
     thickness = CLOTHING_UNIT * float(x[entity("clothing")])
     if not clothed or thickness == 0:
         return shaped

@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array, frame_of, so3_exp
 
 # opensim_from_model: body axes X forwards (-y), Y up (z), Z right (-x)
 BODY_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -246,18 +246,6 @@ def hinge_axis(skeleton: Skeleton, name: str) -> Array:
     if len(dofs) != 1:
         raise InputError(f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom.")
     return skeleton.axes[dofs[0]]
-
-
-def frame_of(first: ArrayLike, second: ArrayLike) -> Array:
-    """Make the rotation matrix (3, 3) of two directions (3,).
-
-    Its columns are `first`, the part of `second` across it, and their cross product, normalised.
-    """
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    a = a / np.linalg.norm(a)
-    b = b - (b @ a) * a
-    b = b / np.linalg.norm(b)
-    return np.stack([a, b, np.cross(a, b)], axis=1)
 
 
 def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:

@@ -1,7 +1,7 @@
 """Lenses of cameras from pictures of a board, and the joint refinement of cameras and boards.
 
-A lens starts with Zhang's closed form and OpenCV's refinement. Lenses and rigs are refined by `bundle` with its weak
-prior, without the pictures that do not fit.
+A lens starts without distortion, with the focal length of which board poses fit best. Lenses and rigs are refined by
+`bundle` with its weak prior, without the pictures that do not fit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board, BoardDetection, IntArray
-from hypose.calibration.bundle import NOISE_PX, Observations, bundle_adjust
+from hypose.calibration.bundle import NOISE_PX, Observations, bundle_adjust, trial_lenses
 from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
@@ -65,12 +65,12 @@ def calibrate_lens(
             f"lens needs at least {_MIN_VIEWS}, better 15: film the board tilted, near and far, in all corners of the "
             "picture, or give a calibration file with --intrinsics."
         )
-    start = (
-        _first_fisheye(name, chosen, sightings, board, size)
-        if fisheye
-        else _first(name, chosen, sightings, board, size)
-    )
     seen = {f: sightings[f] for f in chosen}
+    # fisheye lenses see 60 to 220 degrees by the equidistant model r = f angle, which is near enough for a start
+    lenses = trial_lenses(name, size, np.geomspace(0.26, 0.95, 12) if fisheye else np.geomspace(0.3, 8, 24), fisheye)
+    few = list(seen.values())[:: max(1, len(seen) // 12)]
+    misfits = [np.median([board_poses(lens, s, board.points)[0][1] for s in few]) for lens in lenses]
+    start = lenses[int(np.argmin(misfits))]
     poses = {f: board_poses(start, s, board.points)[0][0] for f, s in seen.items()}
     # bad start poses (a board nearly edge-on) would only be dropped later
     good = {f: p for f, p in poses.items() if p[2, 3] > 0}
@@ -154,60 +154,6 @@ def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list
         rms = float(np.sqrt(np.mean(error**2)))
         out.append((pose, rms if np.isfinite(rms) else float("inf")))
     return sorted(out, key=lambda p: p[1])
-
-
-def _first(
-    name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
-) -> Camera:
-    """Calibrate the lens roughly, as a start: OpenCV's closed form and refinement; without distortion where that fails.
-
-    name: name of the camera.
-    frames: frame numbers to use.
-    sightings: detected boards by frame number.
-    size: width and height of the pictures, px.
-    Returns: the camera; its pose is the identity.
-    """
-    objects = [board.points[sightings[f].ids].astype(np.float32) for f in frames]
-    images = [sightings[f].pixels.astype(np.float32) for f in frames]
-    k = np.asarray(cv2.initCameraMatrix2D(objects, images, size, 1.0), dtype=np.float64)
-    f = float(k[0, 0])
-    if not 0.2 * max(size) < f < 20 * max(size):
-        f = 1.0 * max(size)
-    k = np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1]])
-    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
-    try:
-        _, found, lens = cv2.calibrateCamera(objects, images, size, k.copy(), np.zeros(5), flags=flags)[:3]
-        found, lens = np.asarray(found, np.float64), np.ravel(lens)[:5].astype(np.float64)
-        middle = np.abs(found[:2, 2] - k[:2, 2]).max()
-        if 0.2 * max(size) < found[0, 0] < 20 * max(size) and middle < 0.3 * max(size) and np.abs(lens).max() < 3:
-            return Camera(name, found, lens, np.eye(4), size)
-    except cv2.error:
-        pass
-    return Camera(name, k, np.zeros(5), np.eye(4), size)
-
-
-def _first_fisheye(
-    name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
-) -> Camera:
-    """Choose the start focal length of a fisheye lens, from those of 60 to 220 degrees of view, by the fit of board
-    poses.
-
-    name, frames, sightings, size: as in `_first`.
-    Returns: the camera without distortion; its pose is the identity.
-    Why: the equidistant model r = f angle is near enough for a start; OpenCV's own start fails on boards near the edge.
-    """
-    best = (float("inf"), 0.0)
-    for view in np.deg2rad(np.geomspace(60, 220, 12)):
-        f = max(size) / view
-        camera = _fisheye(name, f, size)
-        errors = [board_poses(camera, sightings[i], board.points)[0][1] for i in frames]
-        best = min(best, (float(np.median(errors)), f))
-    return _fisheye(name, best[1] or max(size) / 2.0, size)
-
-
-def _fisheye(name: str, f: float, size: tuple[int, int]) -> Camera:
-    k = np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1]])
-    return Camera(name, k, np.zeros(4), np.eye(4), size, True)
 
 
 # ---- joint refinement ----------------------------------------------------------------------------------------------

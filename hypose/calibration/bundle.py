@@ -51,6 +51,13 @@ class Observations:
         return len(self.camera)
 
 
+def trial_lenses(name: str, size: tuple[int, int], factors: Array, fisheye: bool = False) -> list[Camera]:
+    """Make cameras without distortion, whose focal lengths are factors of the longer side of the picture (size, px)."""
+    middle, none = (np.array(size) - 1)[:, None] / 2, np.zeros(4 if fisheye else 5)
+    lenses = [np.r_[np.c_[f * max(size) * np.eye(2), middle], [[0.0, 0.0, 1.0]]] for f in factors]
+    return [Camera(name, k, none, np.eye(4), size, fisheye) for k in lenses]
+
+
 def apply_parameters(camera: Camera, x: Array) -> Camera:
     """Change a camera by its parameters.
 

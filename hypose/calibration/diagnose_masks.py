@@ -217,7 +217,7 @@ def _timing(seen: MaskViews, o: Limits) -> tuple[Array, list[Finding]]:
     n = len(seen.rig)
     if len(seen.tracks[0].area) < 24:
         return np.zeros(n), []
-    curves = partial(silhouette_curves, seen.rig, seen.tracks, scale_px=max(float(np.median(seen.size)) / 130, 0.5))
+    curves = partial(silhouette_curves, seen.rig, seen.tracks)
     late, sd = certain_delays(curves, n, o, max(o.late, 0.6), 2 * o.late_gain)
     return late, list(timing_findings(seen.rig, late, sd))
 

@@ -20,7 +20,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoint_check import sides_exchanged, triangulated
 from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
-from hypose.geometry import Array
+from hypose.geometry import Array, unit
 from hypose.tracking.subject import shape_from_keypoints
 
 WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
@@ -136,11 +136,11 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
     Returns: an iterator over findings.
     """
     top, feet = _middle(points_world, names, "shoulder"), _middle(points_world, names, "ankle")
-    along = _unit(top - feet)
+    along = unit(top - feet)
     known = np.isfinite(along).all(1)
     if known.sum() < 3:
         return
-    up, mean = along[known, 2], _unit(along[known].mean(0))
+    up, mean = along[known, 2], unit(along[known].mean(0))
     in_images = _upright_in_images(pixels, names)
     turned = (up < -_UPRIGHT).mean() > _WRONG_WAY_SHARE
     lying = (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE
@@ -226,12 +226,6 @@ def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
     column = {n: k for k, n in enumerate(names)}
     pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
     return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(length > 1e-9, vectors / length, np.nan)
 
 
 # ---- doctor report -------------------------------------------------------------------------------------------------

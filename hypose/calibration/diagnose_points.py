@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from hypose.calibration.sync_motion import (
     solve_offsets,
     solve_widely,
 )
-from hypose.calibration.synchronisation import point_sd
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoint_check import SeenT, Trial, best_trial, disagreement, sizes, trials, undistorted
@@ -121,14 +121,9 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
     if n < 2 or frames < _LEAST_FRAMES:
         return np.zeros(n), np.zeros(n)
     uv, confidence = undistorted(rig, pixels)
-    scatter = point_sd(uv, confidence)
-
-    def curves(largest: float) -> Curves:
-        return keypoint_curves(rig, uv, confidence, largest, scatter, step=0.5)
-
-    late, sd = certain_delays(curves, n, o, o.late, o.late_gain)
+    late, sd = certain_delays(partial(keypoint_curves, rig, uv, confidence, step=0.5), n, o, o.late, o.late_gain)
     if late.any():
-        late = np.where(_contradicted(rig, uv, confidence, scatter, late, o), 0.0, late)
+        late = np.where(_contradicted(rig, uv, confidence, late, o), 0.0, late)
     return late, sd
 
 
@@ -154,13 +149,10 @@ def certain_delays(
     return np.where(certain, found, 0.0), np.where(ended, np.inf, offsets.sd)
 
 
-def _contradicted(
-    rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
-) -> NDArray[np.bool_]:
+def _contradicted(rig: CameraRig, uv: Array, confidence: Array, found: Array, o: Limits) -> NDArray[np.bool_]:
     """Test whether the first or the last part of a clip contradicts the delay found in the whole clip.
 
     uv, confidence: (C, T, K, 2) undistorted px and (C, T, K).
-    scatter: standard deviation of a detection, px.
     found: (C,) delay, frames.
     Returns: (C,) True where a part contradicts it.
     Why: in a person who stands and waves few points move, and their lasting errors look like delayed motion. They
@@ -170,7 +162,7 @@ def _contradicted(
     if long < _LEAST_FRAMES:
         return out
     for part in (slice(None, long), slice(-long, None)):
-        curves = keypoint_curves(rig, uv[:, part], confidence[:, part], o.largest_lag, scatter, step=0.5)
+        curves = keypoint_curves(rig, uv[:, part], confidence[:, part], o.largest_lag, step=0.5)
         try:
             offsets = solve_offsets(curves, len(rig))
         except EvidenceError:

@@ -18,7 +18,7 @@ from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, Image, rotation_between, se3, se3_inverse, so3_log, transform
+from hypose.geometry import Array, Image, frame_of, se3, se3_inverse, so3_log, transform, unit
 from hypose.io.videos.video import open_video
 
 # ---- surroundings --------------------------------------------------------------------------------------------------
@@ -115,14 +115,13 @@ _STILL_FRAMES = 3
 
 
 def floor_frame(
-    rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None, still: bool
+    rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None
 ) -> tuple[int | None, str]:
-    """Choose the frame in which the board lies on the floor.
+    """Choose the frame in which the board lies on the floor: the middle of the longest time in which it does not move
+    and is level, judged by the cameras' common up direction.
 
     boards: world_from_board (4, 4) by frame.
     wanted: frame chosen by the user; the nearest frame with a board is used.
-    still: the board never moved. Otherwise the middle of the longest time is used in which the board does not move and
-        is level, judged by the cameras' common up direction.
     Returns: the frame, None where there is none, and a sentence about the choice.
     Raises: CalibrationError where no board is near the wanted frame.
     """
@@ -137,7 +136,7 @@ def floor_frame(
                 "the board lies on the floor and is seen."
             )
         return near, f"The floor is where the board lies in frame {near}."
-    if still or len(frames) == 1:
+    if len(frames) == 1:
         return frames[0], "The floor is where the board lies."
     up = _common_up(rig)
     middle = board.points.mean(0)
@@ -150,7 +149,7 @@ def floor_frame(
             run = []
         run = [*run, f] if float(-boards[f][:3, 2] @ up) > np.cos(_FLAT) else []
         best = max(best, run, key=len)
-    if len(best) >= _STILL_FRAMES:
+    if len(best) >= min(_STILL_FRAMES, len(frames)):
         return best[len(best) // 2], (
             f"The floor is where the board lies still in frames {best[0]} to {best[-1]}; if it lay on something else, "
             "give --floor FRAME."
@@ -176,12 +175,7 @@ def place_on_floor(
     if frame is not None:
         world_from_old = np.diag([1.0, -1.0, -1.0, 1.0]) @ se3_inverse(boards[frame])
     else:
-        up = _common_up(rig)
-        turn = rotation_between(up, [0, 0, 1.0])
-        right = turn @ rig[0].camera_from_world[0, :3]
-        angle = -np.arctan2(right[1], right[0])
-        spin = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        turn = spin @ turn
+        turn = frame_of(_common_up(rig), rig[0].camera_from_world[0, :3]).T[[1, 2, 0]]
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
         origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
         world_from_old = se3(turn, -origin)
@@ -199,8 +193,7 @@ def _common_up(rig: CameraRig) -> Array:
     up = vt[-1]
     if len(rig) < 2 or s[1] < 0.2 * s[0]:  # parallel x axes do not determine it
         up = mean
-    up = up / np.linalg.norm(up)
-    return up if up @ mean >= 0 else -up
+    return unit(up if up @ mean >= 0 else -up)
 
 
 _GOOD_PX = 1.0  # rms above this is worth a warning
@@ -305,7 +298,7 @@ def calibrate_from_boards(
     except CalibrationError as error:
         raise BoardsNotFound(str(error), both) from None
     o.progress("solve", 1, 2)
-    frame, said = floor_frame(fit.rig, fit.boards, board, o.floor, all(v.still for v in views))
+    frame, said = floor_frame(fit.rig, fit.boards, board, o.floor)
     rig, boards = place_on_floor(fit.rig, fit.boards, board, frame)
     fit = replace(fit, rig=rig, boards=boards)
     o.progress("solve", 2, 2)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.body.default_body import human
 from hypose.calibration.refine_points import (
+    MARKS,
     CameraUnknowns,
     PointBundle,
     adjust,
@@ -24,8 +25,7 @@ from hypose.calibration.refine_points import (
     scale_rig,
     transform_rig,
 )
-from hypose.calibration.sync_motion import Curves, solve_offsets
-from hypose.calibration.synchronisation import point_sd
+from hypose.calibration.sync_motion import Curves, point_sd, solve_offsets
 from hypose.calibration.two_views import (
     FOCAL_FACTORS,
     LOOSE_PX,
@@ -38,7 +38,7 @@ from hypose.calibration.two_views import (
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import CalibrationError
 from hypose.evidence.keypoints import landmark_of
-from hypose.geometry import Array, rotation_between, se3, skew
+from hypose.geometry import Array, frame_of, se3, skew, unit
 from hypose.tracking.subject import shape_from_keypoints
 
 WALK = "film a person who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
@@ -258,7 +258,7 @@ class _Search:
         Raises: CalibrationError where the uncertainty is too large.
         """
         middle = np.nanmedian(points.reshape(-1, 3), axis=0)
-        rays = (middle - rig.positions) / np.linalg.norm(middle - rig.positions, axis=1)[:, None]
+        rays = unit(middle - rig.positions)
         widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
         share, (focal, place) = median_px / (100 * self.sd), (x.argmax() for x in (sds.focal, sds.place_m))
         for wrong, sentence in (
@@ -313,9 +313,7 @@ class _Search:
             head = [k for k, n in enumerate(self.names) if n in _HEAD]
             tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
             rig, middle, floor = scale_rig(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
-        turn = rotation_between(up, [0, 0, 1.0])
-        x, y, _ = turn @ rig[0].camera_from_world[0, :3]
-        turn = np.array([[x, y, 0], [-y, x, 0], [0, 0, np.hypot(x, y)]]) / np.hypot(x, y) @ turn
+        turn = frame_of(up, rig[0].camera_from_world[0, :3]).T[[1, 2, 0]]  # x to the right of the first camera
         world = se3(turn, -np.array([*(turn @ middle)[:2], floor]))
         sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
         approximate = tuple(sentence for true, sentence in doubts if true)
@@ -336,8 +334,7 @@ class _Search:
         Returns: up (3,), the floor's height along it, m, and whether feet on the floor define it, not the trunk.
         """
         ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
-        up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
-        up /= np.linalg.norm(up)
+        up = unit(np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1)))
         feet = [k for k, n in enumerate(self.names) if n in _FEET]
         places = points[:, feet]
         speed = np.linalg.norm(np.gradient(places, axis=0), axis=-1) * self.frame_rate / (frames[1] - frames[0])
@@ -411,32 +408,28 @@ def uncertainty(bundle: PointBundle, points: Array, velocity: Array, labels: Arr
     """
     cameras = bundle.unknowns.start
     count, n, size = len(cameras), len(points), bundle.count + 1
-    jc, jp, r = np.zeros((count, n, 2, size)), np.zeros((count, n, 2, 3)), np.zeros((count, n, 2))
+    jc, jp, r = np.zeros((n, count, 2, count, size)), np.zeros((n, count, 2, 3)), np.zeros((n, count, 2, 1))
     groups = se3(np.eye(3), points)
     for c, (camera, s) in enumerate(zip(cameras, bundle.slices, strict=True)):
-        at = c, bundle.o.group[s]
-        jc[*at, :, :-1], jp[at], r[at], root = bundle.derivatives(camera, groups, s)
-        jc[*at, :, -1] = -velocity[at] * root[:, None]
-    own = np.einsum("cnxi,cnxj->nij", jp, jp) + 1e-3 * np.eye(3)
-    cross = np.einsum("cnxp,cnxi->nicp", jc, jp).reshape(n, 3, -1)
-    eliminated = np.linalg.solve(own, cross)
-    each = np.arange(count)
-    hessian = np.zeros((count, size, count, size))
-    hessian[each, :, each] = np.einsum("cnxp,cnxq->cpq", jc, jc) + np.diag(np.r_[bundle.unknowns.hold, 1e-3])
-    hessian = hessian.reshape(count * size, -1)
-    pull = np.einsum("cnxi,cnx->cni", jp, r)
-    score = -np.einsum("cni,nis->cns", pull, eliminated).reshape(count, n, count, size)
-    score[each, :, each] += np.einsum("cnxp,cnx->cnp", jc, r)
-    score = score.reshape(count, n, -1)
+        at = bundle.o.group[s]
+        jc[at, c, :, c, :-1], jp[at, c], r[at, c, :, 0], root = bundle.derivatives(camera, groups, s)
+        jc[at, c, :, c, -1] = -velocity[c, at] * root[:, None]
+    jc, jp = jc.reshape(n, 2 * count, -1), jp.reshape(n, -1, 3)
+    back = np.swapaxes(jp, 1, 2)
+    rest = jc - jp @ np.linalg.solve(back @ jp + 1e-3 * np.eye(3), back @ jc)  # the points are eliminated
+    score = (rest.reshape(n, count, 2, -1) * r).sum(2)
+    held = np.tile(np.r_[bundle.unknowns.hold, 1e-3], count)
+    weight = (jc**2).sum((0, 1)) + held
+    hessian = np.einsum("nrs,nrt->st", jc, rest, optimize=True) + np.diag(held + 1e-6 * weight)
     moment, kind, limb = labels.T
     middle = np.zeros_like(hessian)
     for ids in (kind, limb + 4 * (moment // _BLOCK)):
-        sums = np.zeros((count, int(ids.max()) + 1, count * size))
-        np.add.at(sums.transpose(1, 0, 2), ids, score.transpose(1, 0, 2))
+        sums = np.zeros((int(ids.max()) + 1, count, count * size))
+        np.add.at(sums, ids, score)
         rows = sums.reshape(-1, count * size)
         used = int(np.any(rows != 0, axis=1).sum())
         middle += rows.T @ rows * used / max(used - count * size, used / 4)
-    inverse = np.linalg.inv(hessian - np.einsum("nis,nit->st", cross, eliminated) + 1e-6 * np.diag(np.diag(hessian)))
+    inverse = np.linalg.inv(hessian)
     free = _without_gauge(list(cameras), points, size)
     sd = np.sqrt(np.maximum(np.diag(free @ inverse @ middle @ inverse @ free.T), 0)).reshape(count, size)
     focal = sd[:, 6] if bundle.unknowns.focal else np.zeros(count)
@@ -457,8 +450,8 @@ def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array
     count = len(cameras)
     middle = np.median(points, axis=0)
     reach = float(np.median([np.linalg.norm(c.position - middle) for c in cameras]))
-    marks = reach * np.array([[0.0, 0, 0], [0, 0, 1.0], [0.3, 0, 1.0], [0, 0.3, 1.0]])  # as `gauge` compares cameras
-    j = np.concatenate([np.concatenate([-skew(mark), np.eye(3)], 1) for mark in marks])
+    # as `gauge` compares cameras
+    j = np.concatenate([np.concatenate([-skew(reach * mark), np.eye(3)], 1) for mark in MARKS])
     free = np.zeros((count, size, 8))
     metric = np.zeros((count, size, count, size))
     for c, camera in enumerate(cameras):

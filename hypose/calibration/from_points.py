@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust
+from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust, trial_lenses
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
@@ -180,11 +180,10 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
             f"Camera {name}: the size of its picture is not known; add size = [width, height] to [clicks.{name}], or "
             "give its lens with --intrinsics."
         )
-    (x, y), tried = ((size[0] - 1) / 2, (size[1] - 1) / 2), list[tuple[float, Camera]]()
-    for f in max(size) * np.geomspace(0.4, 6, 24):
+    tried = list[tuple[float, Camera]]()
+    for camera in trial_lenses(name, size, np.geomspace(0.4, 6, 24)):
         with contextlib.suppress(CalibrationError):
-            k = np.array([[f, 0, x], [0, f, y], [0, 0, 1.0]])
-            tried.append(_posed(Camera(name, k, np.zeros(5), np.eye(4), size), world, pixels))
+            tried.append(_posed(camera, world, pixels))
     if not tried:
         raise _impossible(name)
     return min(tried, key=lambda t: t[0])[1]

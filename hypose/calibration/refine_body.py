@@ -34,20 +34,8 @@ _NORMALS = 0.3
 """Smallest cosine between the outline normals of a row; other rows are left out."""
 
 
-@dataclass(frozen=True)
-class BodySettings:
-    """Settings of the refinement with a body.
-
-    coarse: factors of the contour scale, one per stage.
-    iterations: number of iterations of each stage.
-    contour_weight: weight of a contour row at the reference density.
-    focal: refine focal lengths as well.
-    """
-
-    coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
-    iterations: tuple[int, ...] = (5, 6, 6)
-    contour_weight: float = 0.1
-    focal: bool = False
+_COARSE, _ITERATIONS = (4.0, 2.0, 1.0), (5, 6, 6)
+"""Factors of the contour scale, and number of iterations, of each stage."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +44,10 @@ class BodyAdjustment:
 
     rig: refined cameras, at the size of the given ones.
     poses: (F, D) refined poses.
-    cost: cost after the refinement, at the robust scale of the last stage.
     """
 
     rig: CameraRig
     poses: Array
-    cost: float
 
 
 def adjust_with_body(
@@ -69,8 +55,9 @@ def adjust_with_body(
     rig: CameraRig,
     poses: Array,
     evidence: Sequence[Sequence[ContourTerm]],
-    options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
+    *,
+    focal: bool = False,
 ) -> BodyAdjustment:
     """Refine a rig of pinhole cameras and the poses of a body in F frames.
 
@@ -78,25 +65,25 @@ def adjust_with_body(
     poses: (F, D) start poses.
     evidence: outlines of each frame.
     free: (C,) cameras that may move; None for all.
+    focal: refine focal lengths as well.
     Raises: EvidenceError where no frame has evidence.
     """
-    o = options or BodySettings()
-    cues = [[_cue(one, o) for one in of] for of in evidence]
+    cues = [[_cue(one) for one in of] for of in evidence]
     if not any(cues):
         raise EvidenceError("No frame has silhouettes to refine the calibration with; choose other frames.")
-    problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, o.focal, free))
+    problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, focal, free))
     state = list(rig), np.array(poses, dtype=np.float64)
-    found = problem.stages(state, o.coarse, o.iterations, 1e-4)
+    found = problem.stages(state, _COARSE, _ITERATIONS, 1e-4)
     cameras, q = found.state
-    return BodyAdjustment(CameraRig(tuple(cameras)), q, found.cost)
+    return BodyAdjustment(CameraRig(tuple(cameras)), q)
 
 
-def _cue(one: ContourTerm, o: BodySettings) -> Cue[_Cameras]:
+def _cue(one: ContourTerm) -> Cue[_Cameras]:
     """Make the function that gives the rows of an outline in the images of the present cameras."""
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
         projections = np.stack([c.projection for c in cameras])
-        return rows_of_contours(at, one, factor, o.contour_weight, one.row_spacing_px, _NORMALS, projections)
+        return rows_of_contours(at, one, factor, 1.0, one.row_spacing_px, _NORMALS, projections)
 
     return rows
 

@@ -73,6 +73,10 @@ def transform_rig(rig: CameraRig, new_from_old: Array) -> CameraRig:
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
 
 
+MARKS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.3, 0.0, 1.0], [0.0, 0.3, 1.0]])
+"""(4, 3) points fixed to a camera: its centre, and three in front of it, in units of the person's distance."""
+
+
 def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
     """Compute the rigid motion that aligns a refined rig and its world with the old one.
 
@@ -85,23 +89,15 @@ def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
     """
     middle = np.nanmedian(points_new, axis=0)
     reach = float(np.median(np.linalg.norm(new.positions - middle, axis=1)))
-    marks_new = np.stack([_marks(c, reach) for c in new])
-    marks_old = np.stack([_marks(c, reach) for c in old])
-    weight = np.ones(len(new))
-    motion = np.eye(4)
+    here, there = (
+        np.concatenate([transform(se3_inverse(c.camera_from_world), reach * MARKS) for c in rig]) for rig in (new, old)
+    )
+    weight, motion = np.ones(len(new)), np.eye(4)
     for _ in range(30):
-        w = np.repeat(weight, marks_new.shape[1])
-        motion, _ = procrustes(marks_new.reshape(-1, 3), marks_old.reshape(-1, 3), w)
-        gap = np.linalg.norm(transform(motion, marks_new.reshape(-1, 3)) - marks_old.reshape(-1, 3), axis=1)
-        distance = np.sqrt((gap.reshape(len(new), -1) ** 2).mean(1))
-        weight = 1 / np.maximum(distance, 1e-3 * reach)
+        motion, _ = procrustes(here, there, np.repeat(weight, len(MARKS)))
+        squared = ((transform(motion, here) - there) ** 2).sum(1).reshape(len(new), -1)
+        weight = 1 / np.maximum(np.sqrt(squared.mean(1)), 1e-3 * reach)
     return motion
-
-
-def _marks(camera: Camera, reach: float) -> Array:
-    """Compute four points (4, 3) fixed to a camera: its centre, and three in front of it at the person's distance."""
-    local = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.3, 0.0, 1.0], [0.0, 0.3, 1.0]]) * reach
-    return transform(se3_inverse(camera.camera_from_world), local)
 
 
 def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[CameraChange, ...]:
@@ -226,11 +222,20 @@ def adjust(
             f"Only {int(keep.sum())} key points are seen by two cameras; at least {FEWEST_POINTS} (over all frames) "
             "are needed to refine a calibration: use more frames, or silhouettes."
         )
-    unknowns = CameraUnknowns(rig, focal, free, radial, hold)
-    found = PointBundle(uv[:, keep], w[:, keep], default_scale(uv, w), unknowns).adjusted(iterations)
-    points = np.full((uv.shape[1], 3), np.nan)
-    points[keep] = found.points
-    return replace(found, points=points)
+    bundle = PointBundle(uv[:, keep], w[:, keep], default_scale(uv, w), CameraUnknowns(rig, focal, free, radial, hold))
+    start = triangulate(rig, uv[:, keep], w[:, keep])[0]
+    lost = ~np.isfinite(start).all(1)
+    start[lost] = np.nanmedian(start[~lost], axis=0)
+    rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
+    found = bundle.solve((list(rig), se3(np.eye(3), start)), iterations, rule)
+    cameras, groups = found.state
+    median = float(np.median(np.linalg.norm(bundle.residuals(cameras, groups), axis=1)))
+    points, sd = np.full((uv.shape[1], 3), np.nan), np.zeros(len(rig))
+    points[keep] = groups[:, :3, 3]
+    if radial:
+        variance = np.linalg.pinv(found.equations.reduced().hessian).diagonal()
+        sd = np.sqrt(np.maximum(variance, 0)).reshape(len(rig), -1)[:, -1]
+    return PointAdjustment(CameraRig(tuple(cameras)), points, median, sd)
 
 
 def default_scale(pixels: Array, confidence: Array) -> float:
@@ -255,7 +260,7 @@ class PointBundle(Bundle):
 
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
         camera, point = np.nonzero(confidence > 0)
-        self.uv, self.confidence, self.unknowns = pixels, confidence, unknowns
+        self.unknowns = unknowns
         seen = Observations(camera, point, np.zeros_like(point), pixels[camera, point])
         weight, scales = 4 * confidence[camera, point], np.full(len(camera), 2 * scale)
         super().__init__(seen, np.zeros((1, 3)), weight, scales, lorentzian, unknowns.count, unknowns.free)
@@ -271,22 +276,6 @@ class PointBundle(Bundle):
         """Compute the camera's change from the start, in standard deviations, and the derivatives (P, P)."""
         root = np.sqrt(self.unknowns.hold)
         return root * self.unknowns.change(index, camera), np.diag(root)
-
-    def adjusted(self, iterations: int) -> PointAdjustment:
-        """Triangulate the points with the start cameras, and adjust both."""
-        rig = self.unknowns.start
-        points = triangulate(rig, self.uv, self.confidence)[0]
-        lost = ~np.isfinite(points).all(1)
-        points[lost] = np.nanmedian(points[~lost], axis=0)
-        start = list(rig), se3(np.eye(3), points)
-        found = self.solve(start, iterations, Rule(damping=1e-3, least=1e-7, gain=1e-6))
-        cameras, groups = found.state
-        median = float(np.median(np.linalg.norm(self.residuals(cameras, groups), axis=1)))
-        sd = np.zeros(len(rig))
-        if self.unknowns.radial:
-            variance = np.linalg.pinv(found.equations.reduced().hessian).diagonal()
-            sd = np.sqrt(np.maximum(variance, 0)).reshape(len(rig), -1)[:, -1]
-        return PointAdjustment(CameraRig(tuple(cameras)), groups[:, :3, 3], median, sd)
 
 
 def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:

@@ -19,7 +19,7 @@ from hypose.calibration.board_fit import CalibratedLens, RigCalibration, board_p
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, se3, se3_inverse, so3_exp, so3_log, transform
+from hypose.geometry import Array, procrustes, se3_inverse, so3_log, transform
 
 PoseComparison = Callable[[int, int, Array, Array], float]
 """Function of camera c, camera d, d_from_c and another d_from_c that gives how many times more likely the first pose
@@ -109,7 +109,7 @@ def _link(
     if not shared:
         return None
     shared = spread_out({f: sightings[c][f] for f in shared}, cameras[c].size, 30)
-    turns = [_turn_motion(board, t) for t in board.turns]
+    turns = [procrustes(board.points, board.points[t])[0] for t in board.turns]
     candidates = []
     for f in shared:
         for pc, ec in poses[c][f]:
@@ -130,14 +130,6 @@ def _link(
                 other = candidates[k]
             break
     return Link(c, d, best, len(shared), agreeing, float(np.median(errors[order[0]])), other)
-
-
-def _turn_motion(board: Board, turn: np.ndarray) -> Array:
-    """Compute the rigid motion of the board's frame that renumbers its corners: point turn[i] = motion(point i)."""
-    a, b = board.points, board.points[turn]
-    start, end = (np.arctan2(*(p[1] - p[0])[1::-1]) for p in (a, b))
-    rotation = so3_exp([0, 0, end - start])
-    return se3(rotation, b[0] - rotation @ a[0])
 
 
 def _disagreement(

@@ -28,8 +28,9 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.losses import lorentzian, lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
+from hypose.evidence.keypoint_check import sizes
 from hypose.evidence.silhouettes import biggest_parts
-from hypose.geometry import Array, skew
+from hypose.geometry import Array, frame_of, skew, unit
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -88,24 +89,26 @@ def fundamental(rig: CameraRig, a: int, b: int) -> Array:
     return np.linalg.inv(cb.K).T @ e @ np.linalg.inv(ca.K)
 
 
-def keypoint_curves(
-    rig: CameraRig,
-    pixels: Array,
-    confidence: Array,
-    largest: float,
-    scale_px: float,
-    *,
-    step: float = _STEP,
-) -> Curves:
+def point_sd(pixels: Array, confidence: Array) -> float:
+    """Estimate the usual error of a detection: 1.6 % of the person's size in the median view, px.
+
+    pixels: (C, T, K, 2) px.
+    confidence: (C, T, K).
+    """
+    known = sizes(np.concatenate([pixels, confidence[..., None]], -1))
+    known = known[known > 0]
+    return max(0.016 * float(np.median(known)) if len(known) else 4.0, 0.5)
+
+
+def keypoint_curves(rig: CameraRig, pixels: Array, confidence: Array, largest: float, *, step: float = _STEP) -> Curves:
     """Compute from key points how much each pair of views disagrees, as a function of the time offset between them.
 
     pixels: (C, T, K, 2) undistorted px of the rig.
     confidence: (C, T, K) confidence of each point.
     largest: largest offset, frames.
-    scale_px: standard deviation of a detection, px.
     step: step of the offsets, frames.
     """
-    n, frames = pixels.shape[:2]
+    (n, frames), scale_px = pixels.shape[:2], point_sd(pixels, confidence)
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
     seen = confidence > 0.3
@@ -254,7 +257,7 @@ def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) 
     return out, size
 
 
-def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float) -> Curves:
+def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: float) -> Curves:
     """Compute from silhouettes how much each pair of views disagrees, as a function of the time offset between them.
 
     Compared are the planes through both cameras that are tangent to the person, and the directions about the baseline
@@ -262,9 +265,8 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
 
     tracks: mask track of each view.
     largest: largest offset, frames.
-    scale_px: standard deviation of a tangent, px.
     """
-    frames = len(tracks[0].area)
+    frames, scale_px = len(tracks[0].area), max(float(np.median([t.size for t in tracks])) / 130, 0.5)
     lags = _lags(largest, frames)
     margin = int(np.ceil(lags[-1])) + 1
     pairs = tuple(itertools.combinations(range(len(tracks)), 2))
@@ -472,14 +474,10 @@ def _pencil(rig: CameraRig, a: int, b: int) -> Array:
         their angle about the first row, from the middle of the cameras' viewing directions.
     """
     base = rig[b].position - rig[a].position
-    e0 = base / max(float(np.linalg.norm(base)), 1e-12)
     look = rig[a].camera_from_world[2, :3] + rig[b].camera_from_world[2, :3]
-    e1 = look - (look @ e0) * e0
-    if np.linalg.norm(e1) < 1e-6:  # two cameras that look at each other
-        e1 = np.eye(3)[int(np.abs(e0).argmin())]
-        e1 = e1 - (e1 @ e0) * e0
-    e1 /= np.linalg.norm(e1)
-    return np.stack([e0, e1, np.cross(e0, e1)])
+    if np.linalg.norm(np.cross(unit(base), look)) < 1e-6:  # two cameras that look at each other
+        look = np.eye(3)[int(np.abs(base).argmin())]
+    return frame_of(base, look).T
 
 
 def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import gcd
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,6 @@ from scipy.ndimage import median_filter
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from hypose.calibration.sync_motion import (
-    Curves,
     Offsets,
     keypoint_curves,
     mask_tracks,
@@ -30,7 +28,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, FrameSource, Keypoints, Silhouettes
-from hypose.evidence.keypoint_check import sizes
 from hypose.evidence.outlines import bounding_box
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
@@ -57,30 +54,14 @@ def offsets_from_motion(
     largest: largest offset that is searched, frames.
     Raises: EvidenceError where the recording is too short or no person moves.
     """
-    curves: Curves | None = None
-    pixels, confidence = keypoints
-    if pixels.size:
-        curves = keypoint_curves(rig, pixels, confidence, largest, point_sd(pixels, confidence))
+    curves = keypoint_curves(rig, *keypoints, largest) if keypoints[0].size else None
     rig_of_masks = next((s.rig for s in silhouettes if s is not None), None)
     if rig_of_masks is not None:
-        tracks = mask_tracks(silhouettes)
-        extent = np.nanmedian([np.ptp(t.outline, axis=1).max(1) for t in tracks])
-        more = silhouette_curves(rig_of_masks, tracks, largest, max(float(extent) / 130, 0.5))
+        more = silhouette_curves(rig_of_masks, mask_tracks(silhouettes), largest)
         curves = more if curves is None else curves + replace(more, cost=_MASK_SHARE * more.cost)
     if curves is None:
         raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")
     return solve_offsets(curves, len(rig))
-
-
-def point_sd(pixels: Array, confidence: Array) -> float:
-    """Estimate the usual error of a detection: 1.6 % of the person's size in the median view, px.
-
-    pixels: (C, T, K, 2) px.
-    confidence: (C, T, K).
-    """
-    known = sizes(np.concatenate([pixels, confidence[..., None]], -1))
-    known = known[known > 0]
-    return max(0.016 * float(np.median(known)) if len(known) else 4.0, 0.5)
 
 
 def points_at(points: Array, late: float) -> Array:
@@ -92,7 +73,6 @@ def points_at(points: Array, late: float) -> Array:
         replaced by the other one up to half a frame away.
     """
     n = len(points)
-    out = np.zeros_like(points)
     at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)
     low = np.floor(at).astype(int)
     share = (at - low)[:, None]
@@ -103,8 +83,7 @@ def points_at(points: Array, late: float) -> Array:
     both = (1 - share[..., None]) * pa + share[..., None] * pb
     value = np.where((ca & cb)[..., None], both, np.where(ca[..., None], pa, pb))
     near = np.where(ca & cb, True, np.where(ca, share <= 0.5, share >= 0.5) & (ca | cb))
-    out[:] = np.where((near & inside[:, None])[..., None], value, 0.0)
-    return out
+    return np.where((near & inside[:, None])[..., None], value, 0.0)
 
 
 def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
@@ -248,41 +227,23 @@ def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s:
     Raises: EvidenceError where a view has no sound in common with the others.
     """
     prepared = [_prepared(s, n) for s, n in zip(sounds, names, strict=True)]
-    c = len(prepared)
-    rows, values, weights = [], [], []
-    peaks = np.zeros(c)
-    for a, b in itertools.combinations(range(c), 2):
-        late, peak = _pair(prepared[a], prepared[b], largest_s)
-        peaks[[a, b]] = np.maximum(peaks[[a, b]], peak)
-        row = np.zeros(c)
-        row[b], row[a] = 1, -1
-        rows.append(row)
-        values.append(late)
-        weights.append(max(peak - _LEAST_PEAK, 0.0))
+    first, second = np.array(list(itertools.combinations(range(len(prepared)), 2))).T
+    found = [_pair(prepared[a], prepared[b], largest_s) for a, b in zip(first, second, strict=True)]
+    late, heights = np.array(found).T
+    rows = np.eye(len(prepared))[second] - np.eye(len(prepared))[first]
+    peaks = (np.abs(rows) * heights[:, None]).max(0)
     if (peaks < _LEAST_PEAK).any():
         silent = ", ".join(n for n, p in zip(names, peaks, strict=True) if p < _LEAST_PEAK)
         raise EvidenceError(
             f"{silent}: no sound in common with the other views within {largest_s:g} s; clap once in front of all "
             "cameras, or use --by motion."
         )
-    x = _consistent(np.array(rows), np.array(values), np.array(weights))
+    # the offsets that agree with most pairs: weighted L1, iteratively reweighted
+    x, weights = np.zeros(len(prepared)), np.maximum(heights - _LEAST_PEAK, 0.0)
+    for n in range(20):
+        w = np.sqrt(weights / (np.maximum(np.abs(rows @ x - late), 1e-4) if n else 1.0))
+        x = np.asarray(np.linalg.lstsq(rows * w[:, None], late * w, rcond=None)[0], dtype=np.float64)
     return x - np.median(x), peaks
-
-
-def _consistent(rows: Array, values: Array, weights: Array) -> Array:
-    """Solve for the offsets that agree with most pairs (weighted L1, iteratively reweighted).
-
-    rows: (P, C) -1 for the first and 1 for the second view of each pair.
-    values: (P,) delay of the second against the first, s.
-    weights: (P,).
-    Returns: (C,) s.
-    """
-    w = np.sqrt(weights)
-    x = np.zeros(rows.shape[1])
-    for _ in range(20):
-        x = np.asarray(np.linalg.lstsq(rows * w[:, None], values * w, rcond=None)[0], dtype=np.float64)
-        w = np.sqrt(weights / np.maximum(np.abs(rows @ x - values), 1e-4))
-    return x
 
 
 def _prepared(sound: Sound, name: str) -> Array:
@@ -294,9 +255,7 @@ def _prepared(sound: Sound, name: str) -> Array:
     x = np.asarray(sound.samples, dtype=np.float64)
     if x.ndim != 1 or len(x) < sound.rate // 2 or not np.isfinite(x).all():
         raise EvidenceError(f"{name}: the sound is shorter than half a second or damaged; use --by motion.")
-    if sound.rate != _RATE:
-        g = gcd(int(sound.rate), _RATE)
-        x = np.asarray(resample_poly(x, _RATE // g, int(sound.rate) // g), dtype=np.float64)
+    x = resample_poly(x, _RATE, int(sound.rate))
     x = sosfiltfilt(butter(2, [150, 3500], "bandpass", fs=_RATE, output="sos"), x)
     sd = float(np.std(x))
     if sd < 1e-9:

@@ -21,7 +21,7 @@ from hypose.calibration.refine_points import adjust
 from hypose.calibration.sync_motion import Curves, coordinate_descent
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.geometry import Array, se3, so3_exp
+from hypose.geometry import Array, se3, so3_exp, unit
 
 SEEN_CONFIDENCE = 0.3  # confidence above which a key point counts
 LOOSE_PX = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
@@ -190,9 +190,7 @@ def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[f
     pose = se3(turn, shift[:, 0])
     two = CameraRig((replace(a, camera_from_world=np.eye(4)), replace(b, camera_from_world=pose)))
     x = triangulate(two, np.stack([xa, xb]), np.ones((2, len(xa))))[0]
-    sine = np.linalg.norm(
-        np.cross(*(r / (np.linalg.norm(r, axis=1)[:, None] + 1e-12) for r in x - two.positions[:, None])), axis=1
-    )
+    sine = np.linalg.norm(np.cross(*unit(x - two.positions[:, None])), axis=1)
     return [(_disagreement(fundamental, xa, xb, sd) - 0.6 * float(np.nanmedian(sine)) - 0.5 * front / len(xa), pose)]
 
 

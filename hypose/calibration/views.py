@@ -16,7 +16,7 @@ import numpy as np
 from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, likely_shown, make_detector, sheet_views
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.file_names import natural_key, text_of
+from hypose.io.files import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
 BoardProgress = Callable[[str, int, int], None]
@@ -29,8 +29,6 @@ _COLOURS = {
 }
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11")
 _ENOUGH_BOARDS = 24  # sharp boards of a camera after which no picture is searched that does not surely show one
-_STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
-_STILL_FRAMES = 60
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,6 @@ class CameraViews:
     n_frames: number of frames.
     looks: results by frame number (of the common time; of photos, by order).
     lag: delay of the video, frames.
-    still: the pictures do not change, and frame 0 stands for their mean.
     """
 
     name: str
@@ -79,7 +76,6 @@ class CameraViews:
     n_frames: int
     looks: Mapping[int, Look]
     lag: int = 0
-    still: bool = False
 
     @property
     def sightings(self) -> dict[int, BoardDetection]:
@@ -203,48 +199,18 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
     detect = make_detector(board)
     looks: dict[int, Look] = {}
     with open_video(source.path) as reader:
-        mean = None if reader.frame_rate is None else _still_mean(source, numbers)
-        if mean is not None:
-            looks[numbers[0]] = _examine(mean, detect)
-            for _ in numbers:
-                step()
-        rest = list(numbers) if mean is None else []
-
         # first the pictures that surely show the board; the search of the others is slow
         for quick, start, every in ((True, 0, 1), (False, 0, 2), (False, 1, 2)):
             if sum(k.sighting is not None and not k.reason for k in looks.values()) >= _ENOUGH_BOARDS:
                 break
-            for number in [n for n in rest[start::every] if n not in looks]:
+            for number in [n for n in numbers[start::every] if n not in looks]:
                 image = np.asarray(cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY), np.uint8)
                 if not quick or likely_shown(image, board):
                     looks[number] = _examine(image, detect)
                 if quick:
                     step()
         size, n_frames = reader.size, reader.n_frames
-    return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag, mean is not None)
-
-
-def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
-    """Compute the mean picture of a clip in which nothing moves, which has less noise.
-
-    source: board pictures of the camera.
-    numbers: frames of the common time.
-    Returns: (h, w) grey; None where something moves, or there are fewer than three frames.
-    """
-    if len(numbers) < 3:
-        return None
-    with open_video(source.path) as reader:
-        images = [
-            cv2.cvtColor(reader.read(numbers[i] + source.lag), cv2.COLOR_BGR2GRAY)
-            for i in evenly_spread(0, len(numbers), _STILL_FRAMES)
-        ]
-    first = images[0].astype(np.float32)
-    for image in images[1:]:
-        # a board is small: its block must not move, not only the mean of the picture
-        blocks = cv2.resize(np.abs(image - first), (24, 16), interpolation=cv2.INTER_AREA)
-        if float(blocks.max()) > 4 * _STILL:
-            return None
-    return np.asarray(np.mean(images, axis=0).round(), dtype=np.uint8)
+    return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag)
 
 
 def _examine(picture: object, detect: Detector) -> Look:

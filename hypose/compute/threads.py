@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextvars import copy_context
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
@@ -58,6 +59,17 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
         wait(begun)
     for future in begun:
         future.result()
+
+
+def in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
+    """Compute work(item) for every item, in several threads (work must release the GIL)."""
+    found: list[Any] = [None] * len(items)
+
+    def some(first: int, last: int) -> None:
+        found[first:last] = [work(item) for item in items[first:last]]
+
+    over_chunks(some, len(items), None)
+    return found
 
 
 def in_background(work: Callable[[], _Result]) -> Callable[[], _Result]:

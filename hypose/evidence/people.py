@@ -482,7 +482,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
 
 
 def _larger(person: HullPerson, kept: Sequence[HullPerson]) -> int | None:
-    """Find the first of the people of whom a person is a part (PART_OF_LARGER_M, SMALL); None: of nobody."""
+    """Find the first of the people of whom a person is a part (PART_OF_LARGER_M, SMALL); None where there is none."""
     near = (np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M and person.litres < SMALL * k.litres for k in kept)
     return next((k for k, part in enumerate(near) if part), None)
 

@@ -39,7 +39,7 @@ from hypose.compute.arrays import (
 from hypose.compute.linear import weighted_squares
 from hypose.compute.losses import lorentzian
 from hypose.compute.solver import Evaluation, Solution, bounded_step, solve, workspace
-from hypose.compute.threads import over_chunks
+from hypose.compute.threads import in_threads
 from hypose.errors import InputError, SolverError
 from hypose.evidence.terms import ContourTerm, DepthTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
 from hypose.fitting.problem import Problem, Quadratic, Rule
@@ -77,20 +77,20 @@ class PoseFit:
         """Inverse covariance (D, D) of the pose: the Hessian with the root's rotation as a small turn in the world,
         which is the same for every branch of its rotation vector.
         """
-        return by_turns(self.hessian, self.solved)
+        return turned(self.hessian, so3_turns(self.solved[3:6]).T)
 
 
-def by_turns(hessian: Array, pose: Array) -> Array:
-    """Convert a Hessian by pose coordinates to one in which the root's rotation is a small turn in the world.
+def turned(matrices: Array, turns: Array) -> Array:
+    """Change the root's rotation in symmetric matrices (..., D, D) of poses to other coordinates.
 
-    hessian: (D, D).
-    pose: (D,) at which it was computed.
+    turns: (..., 3, 3) T of the root in T M T^T. `so3_turns` of its rotation vector, transposed, gives a Hessian by a
+        small turn in the world; `so3_left_jacobian` gives the covariance of such a turn.
     Why: inverse covariances of poses are kept in this form, because one rotation has two rotation vectors but only one
-    turn.
+        turn.
     """
-    turns, out = so3_turns(pose[3:6]), hessian.copy()
-    out[3:6] = turns.T @ out[3:6]
-    out[:, 3:6] = out[:, 3:6] @ turns
+    out = matrices.copy()
+    out[..., 3:6, :] = turns @ out[..., 3:6, :]
+    out[..., 3:6] = out[..., 3:6] @ np.swapaxes(turns, -1, -2)
     return out
 
 
@@ -163,15 +163,8 @@ def fit_poses(
     priors: quadratic costs on the pose; options: settings of the solve.
     Returns: one result per start, the same for any number of threads.
     """
-    problem = _Problem(body, evidence, priors, options or SolveSettings())
-    fits: list[PoseFit | None] = [None] * len(starts)
-
-    def work(first: int, last: int) -> None:
-        for n in range(first, last):
-            fits[n] = problem.fit(starts[n])
-
-    over_chunks(work, len(starts), None)
-    return [f for f in fits if f is not None]
+    cost, settings = PoseCost(body, evidence, priors), options or SolveSettings()
+    return in_threads(lambda start: cost.fit(start, settings), list(starts))
 
 
 _OWN = threading.local()
@@ -193,18 +186,23 @@ def workspace_for(body: Body, cues: Cues) -> Workspace:
     return made
 
 
-class _Problem:
-    """Evidence and priors as flat arrays of the kernel, made once for any number of starts."""
+class PoseCost:
+    """Cost of a pose on the evidence of one frame and on priors, as flat arrays of the kernels, made once for any
+    number of starts.
+    """
 
-    def __init__(
-        self, body: Body, evidence: Sequence[Term], priors: Sequence[Quadratic], options: SolveSettings
-    ) -> None:
+    def __init__(self, body: Body, evidence: Sequence[Term], priors: Sequence[Quadratic]) -> None:
         self.body, (self.cues, self.rows) = body, cues_of(body, evidence)
-        self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
-        self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
-        self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
-        self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.settings = options
+        self.tree, self.mesh, s = body.skeleton.tree, body.coarse.arrays, body.skeleton
+        self.centre = np.array([p.centre for p in priors], np.float64).reshape(-1, s.dof)
+        self.weight = np.array([p.weight for p in priors], np.float64).reshape(-1, s.dof)
+        self.lower, self.upper = (np.ascontiguousarray(x, dtype=np.float64) for x in (s.lower, s.upper))
+
+    def evaluate(self, pose: Array, priors: PriorArrays, coarse: bool = False) -> Evaluation:
+        """Compute cost and derivatives at a pose (D,); priors: as `priors` returns them near the pose."""
+        ws = workspace_for(self.body, self.cues)
+        known = solver.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
+        return with_rows(known, pose, self.body, self.rows) if self.rows else known
 
     def start(self, start: ArrayLike) -> Array:
         """Check a start pose, and move its root's rotation vector inside +-pi, where the exponential map is far from
@@ -225,44 +223,21 @@ class _Problem:
         centre[:, 3:6] = nearest_branch(centre[:, 3:6], start[3:6])
         return PriorArrays(centre, self.weight, self.lower, self.upper)
 
-    def fit(self, start: ArrayLike) -> PoseFit:
-        """Solve from a start pose (D,); the result is on the branch of the start."""
-        q = self.start(start)
-        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
-        pose = out.pose.copy()
-        pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
-        return PoseFit(
-            pose,
-            out.pose,
-            out.evaluation.cost,
-            out.evaluation.hessian,
-            out.evaluation.gradient,
-            out.iterations,
-            out.converged,
-            int(out.evaluation.counts.sum()),
-        )
-
-    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> Solution:
-        """Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
-        Solve from a checked start q (D,): compiled, or step by step where a term needs Python; ws: scratch memory.
+    def fit(self, start: ArrayLike, settings: SolveSettings) -> PoseFit:
+        """Solve from a start pose (D,), compiled, or step by step where a term needs Python; the result is on the
+        branch of the start.
         """
-        o = self.settings
-        if not self.rows:
-            return solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
-
-        def evaluate(pose: Array, coarse: bool) -> Evaluation:
-            known = solver.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
-            return with_rows(known, pose, self.body, self.rows)
-
-        coarse = min(o.coarse_iterations, o.iterations) if len(self.cues.contours.sdf) else 0
-        rule = Rule(o.damping, slack=1.002, moved=o.tolerance)
-        return FrameProblem(evaluate, self.lower, self.upper).solution(q, (coarse, o.iterations - coarse), rule)
-
-
-def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
-    """Stack the centres (P, D) and weights (P, D) of P priors on poses of D = dof coordinates."""
-    centre, weight = (np.array([getattr(p, name) for p in priors], np.float64) for name in ("centre", "weight"))
-    return centre.reshape(-1, dof), weight.reshape(-1, dof)
+        q = self.start(start)
+        priors = self.priors(q)
+        if self.rows:
+            out = FrameProblem(self, priors).solution(q, settings)
+        else:
+            ws = workspace_for(self.body, self.cues)
+            out = solve(q, self.tree, self.mesh, self.cues, priors, settings, ws)
+        pose, e = out.pose.copy(), out.evaluation
+        pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
+        counts = int(e.counts.sum())
+        return PoseFit(pose, out.pose, e.cost, e.hessian, e.gradient, out.iterations, out.converged, counts)
 
 
 def with_rows(known: Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> Evaluation:
@@ -304,16 +279,15 @@ class FrameProblem(Problem[Array, Evaluation]):
     """Least-squares problem of one frame's pose for evidence whose residuals are Python functions; the steps are
     those of the compiled solve.
 
-    evaluation(pose, coarse): cost and derivatives at a pose (D,).
-    lower, upper: (D,) joint limits.
+    cost: the cost of the pose; priors: on the branch of the start.
     """
 
-    def __init__(self, evaluation: Callable[[Array, bool], Evaluation], lower: Array, upper: Array) -> None:
-        self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
+    def __init__(self, cost: PoseCost, priors: PriorArrays) -> None:
+        self.cost, self.priors, self.coarse = cost, priors, False
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], Evaluation]]:
         """Compute the cost of a pose, and a function that returns its gradient and Hessian (here already computed)."""
-        e = self.evaluation(state, self.coarse)
+        e = self.cost.evaluate(state, self.priors, self.coarse)
         return e.cost, lambda: e
 
     def propose(self, state: Array, equations: Evaluation, damping: float) -> tuple[Array, float] | None:
@@ -321,22 +295,20 @@ class FrameProblem(Problem[Array, Evaluation]):
 
         equations: cost and derivatives at the state; damping: relative to the diagonal of the Hessian.
         """
-        step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
+        lower, upper = self.cost.lower, self.cost.upper
+        step = bounded_step(equations.hessian, equations.gradient, state, lower, upper, damping)
         if step is None:
             return None
         step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[3:]).max()), 1e-9))
         moved = max(2 * float(np.abs(step[:3]).max()), float(np.abs(step[3:]).max()))
-        return np.clip(state + step, self.lower, self.upper), moved
+        return np.clip(state + step, lower, upper), moved
 
-    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> Solution:
-        """Solve from a start pose (D,).
-
-        iterations: numbers of coarse and of fine iterations.
-        rule: damping and stopping rule.
-        """
-        found, used = None, 0
-        q = np.clip(start, self.lower, self.upper)
-        for self.coarse, n in zip((True, False), iterations, strict=True):
+    def solution(self, start: Array, settings: SolveSettings) -> Solution:
+        """Solve from a start pose (D,), first with the coarse and then with the fine scale."""
+        found, used, o = None, 0, settings
+        coarse = min(o.coarse_iterations, o.iterations) if len(self.cost.cues.contours.sdf) else 0
+        q, rule = np.clip(start, self.cost.lower, self.cost.upper), Rule(o.damping, slack=1.002, moved=o.tolerance)
+        for self.coarse, n in ((True, coarse), (False, o.iterations - coarse)):
             if n or not self.coarse:
                 found = self.solve(q, n, rule)
                 q, rule = found.state, replace(rule, damping=found.damping)

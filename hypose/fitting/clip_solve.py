@@ -9,20 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import solver
-from hypose.compute.arrays import PriorArrays
 from hypose.compute.linear import solve_coupled
 from hypose.errors import SolverError
 from hypose.evidence.terms import Term
-from hypose.fitting.articulated import (
-    LARGEST_TURN,
-    SolveSettings,
-    by_turns,
-    cues_of,
-    prior_arrays,
-    with_rows,
-    workspace_for,
-)
+from hypose.fitting.articulated import LARGEST_TURN, PoseCost, SolveSettings, turned
 from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log, so3_turns
 
@@ -217,27 +207,19 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
         n_frames = coupling.n_frames
         if len(evidence) != n_frames:
             raise SolverError(f"fit_clip needs the evidence of every frame: {n_frames}, got {len(evidence)}.")
-        self.body, self.tree, self.mesh = body, body.skeleton.tree, body.coarse.arrays
         gaussians = [[one for one in of if isinstance(one, Gaussian)] for of in evidence]
-        self.cues = [cues_of(body, [one for one in of if not isinstance(one, Gaussian)]) for of in evidence]
-        self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
-        self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
-        self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
+        self.costs = [PoseCost(body, [one for one in of if not isinstance(one, Gaussian)], priors) for of in evidence]
+        self.lower, self.upper = body.skeleton.lower, body.skeleton.upper
         self.coupling, self.around = coupling, _Around(body, [of[0] if of else None for of in gaussians])
 
     def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         q = state
         (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
-        for k in range(t):
-            centre = self.centre.copy()
-            centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
-            (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
-            e = solver.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
-            if rows:
-                e = with_rows(e, q[k], self.body, rows)
+        for k, of_frame in enumerate(self.costs):
+            e = of_frame.evaluate(q[k], of_frame.priors(q[k]))
             cost += e.cost
-            gradient[k], hessian[k] = e.gradient, by_turns(e.hessian, q[k])
+            gradient[k], hessian[k] = e.gradient, turned(e.hessian, so3_turns(q[k, 3:6]).T)
         gradient = _by_turn(gradient, q) + by_known
         coupled, pull = self.coupling.cost(q)
         return cost + coupled, lambda: (gradient + pull, hessian + curved)

@@ -68,7 +68,6 @@ class Descent(Generic[State, Equations]):
     equations: its normal equations.
     damping: damping at the end.
     iterations: number of iterations.
-    evaluations: number of evaluations of the cost.
     converged: whether it stopped before the largest number of iterations.
     """
 
@@ -77,7 +76,6 @@ class Descent(Generic[State, Equations]):
     equations: Equations
     damping: float
     iterations: int
-    evaluations: int
     converged: bool
 
 
@@ -113,7 +111,7 @@ class Problem(ABC, Generic[State, Equations]):
         state, (cost, make) = start, self.evaluate(start)
         if not math.isfinite(cost):
             raise SolverError("The cost at the start is not finite; check the start and the evidence for NaN.")
-        equations, damping, evaluations, converged, n = make(), rule.damping, 1, False, 0
+        equations, damping, converged, n = make(), rule.damping, False, 0
         while n < iterations and not converged:
             n += 1
             moved, gain, accepted = math.inf, math.inf, False
@@ -122,7 +120,6 @@ class Problem(ABC, Generic[State, Equations]):
                 if proposed is not None:
                     trial, moved = proposed
                     new, make = self.evaluate(trial)
-                    evaluations += 1
                     if math.isfinite(new) and new < cost * rule.slack:
                         accepted, gain = True, abs(cost - new) / max(cost, 1e-300)
                         state, cost, equations = trial, new, make()
@@ -132,7 +129,7 @@ class Problem(ABC, Generic[State, Equations]):
                         break
                 damping = min(damping * rule.harder, rule.most)
             converged = not accepted or moved < rule.moved or gain < rule.gain
-        return Descent(state, cost, equations, damping, n, evaluations, converged)
+        return Descent(state, cost, equations, damping, n, converged)
 
 
 class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shared]):

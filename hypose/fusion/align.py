@@ -10,6 +10,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,6 +83,10 @@ class SensorClock:
         return sensor_time + self.offset
 
 
+_LARGEST_OFFSET_S = 60.0
+"""Largest time offset between two recordings that is searched, s."""
+
+
 def _body_speed(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
     """Compute the mean speed of the joints of a body at given times; the same from every sensor position.
 
@@ -106,16 +111,11 @@ def offset_by_movement(
     positions_a: ArrayLike,
     times_b: ArrayLike,
     positions_b: ArrayLike,
-    *,
-    rate: float = 100.0,
-    limit: float = 60.0,
 ) -> tuple[float, float]:
     """Estimate the time offset between the recordings of two sensors from the movement of the person.
 
     times_a, times_b: (T,) s from each sensor's own start.
     positions_a, positions_b: (T, J, 3) m in each sensor's frame, NaN where missing.
-    rate: rate of the correlation, Hz.
-    limit: largest offset, s.
     Returns: seconds to add to the times of b, and the correlation of the speeds (0..1). Below 0.5 the offset means
         nothing: the person stood still, or the recordings show different persons.
 
@@ -123,18 +123,15 @@ def offset_by_movement(
     the peak is chosen at which a rigid motion aligns the two skeletons best.
     """
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
-    start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
-    at = np.arange(start, stop, 1 / rate)
+    from scipy import optimize, signal  # take long to import
+
+    rate = 100.0  # of the correlation, Hz
+    at = np.arange(min(ta[0], tb[0]), max(ta[-1], tb[-1]), 1 / rate)
     a, b = _body_speed(ta, positions_a, at), _body_speed(tb, positions_b, at)
     width = max(1, round(0.1 * rate))  # sensors smooth differently: compare what lasts a tenth of a second
     box = np.ones(width) / width
     a, b = np.convolve(a, box, "same"), np.convolve(b, box, "same")
-    n = len(at)
-    size = 1 << (2 * n - 1).bit_length()
-
-    def correlate(x: Array, y: Array) -> Array:
-        return np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
-
+    correlate = partial(signal.correlate, method="fft")
     # normalised over the part where both have data, else the longest overlap always wins
     seen_a, seen_b = ((at >= t[0]) & (at <= t[-1]) for t in (ta, tb))
     wa, wb = seen_a.astype(float), seen_b.astype(float)
@@ -144,22 +141,18 @@ def offset_by_movement(
     va = np.maximum(correlate(a * a * wa, wb) - sa**2 / count, 1e-12)
     vb = np.maximum(correlate(wa, b * b * wb) - sb**2 / count, 1e-12)
     score = covariance / np.sqrt(va * vb)
-    lags = np.arange(size)
-    lags = np.where(lags > size // 2, lags - size, lags)
+    lags = signal.correlation_lags(len(at), len(at))
     enough = count > min(5 * rate, 0.5 * min(wa.sum(), wb.sum()))
-    score = np.where(enough & (np.abs(lags) <= limit * rate), score, -1.0)
+    score = np.where(enough & (np.abs(lags) <= _LARGEST_OFFSET_S * rate), score, -1.0)
     peaks = np.flatnonzero((score >= np.roll(score, 1)) & (score > np.roll(score, -1)) & (score > score.max() - 0.25))
     if not len(peaks):
         return 0.0, 0.0
     peaks = peaks[np.argsort(-score[peaks])][:12]
     pa, pb = np.asarray(positions_a, dtype=np.float64), np.asarray(positions_b, dtype=np.float64)
     best = int(min(peaks, key=lambda k: _apart(ta, pa, tb + lags[k] / rate, pb)))
-    fine = lags[best] / rate + np.arange(-12, 13) * 0.01
-    values = np.array([_apart(ta, pa, tb + o, pb) for o in fine])
-    k = int(np.clip(values.argmin(), 1, len(fine) - 2))
-    bend = values[k - 1] - 2 * values[k] + values[k + 1]
-    shift = 0.5 * (values[k - 1] - values[k + 1]) / bend if np.isfinite(bend) and bend > 1e-9 else 0.0
-    return float(fine[k] + 0.01 * np.clip(shift, -1, 1)), float(score[best])
+    near = lags[best] / rate + np.array([-0.12, 0.12])
+    fine = optimize.minimize_scalar(lambda o: _apart(ta, pa, tb + o, pb), bounds=near, options={"xatol": 1e-4})
+    return float(fine.x), float(score[best])
 
 
 def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
@@ -347,8 +340,6 @@ class _Track:
         (a, before), (b, after) = self.reports[k - 1], self.reports[k]
         both = a + w * (b - a)
         state = np.minimum(before, after)
-        if state.all():
-            return both, state
         nearer, known = self.reports[k - 1 if w < 0.5 else k]
         alone = state == 0
         return np.where(alone[:, None], nearer, both), np.where(alone, known, state)
@@ -381,10 +372,8 @@ class _Track:
         # never further than they reach back: reports a few ms apart give no speed, only noise
         ahead = t[-1] + min(age, s.horizon, float(t[-1] - t[0]))
         weights = 1 / n + ahead * t / spread
-        positions, states = (np.stack(part) for part in zip(*self.reports[first:k], strict=True))
+        positions = np.stack([reported for reported, _ in self.reports[first:k]])
         line = (weights @ positions.reshape(n, 45)).reshape(15, 3)
-        if states.all():
-            return line, state
         return np.where(np.isfinite(line), line, last), state
 
 

@@ -10,8 +10,7 @@ model, and the distances between shoulders, hips and torso hold a trunk that is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,35 +140,14 @@ _BONE_SD_M = np.array([15, 15, 8, 8, 15, 8, 8, 15, 20, 8, 8, 20, 8, 8, 15, 15, 2
 _AGAINST = -0.3
 
 
-@dataclass(frozen=True)
-class FitSettings:
-    """Settings of the articulated fit.
-
-    data_sd_m: sd of a sensor's joint, m.
-    scale_m: scale of the Cauchy loss, m.
-    coarse: factor of the scale in the first iteration; it is halved per iteration.
-    iterations: number of iterations per frame.
-    bone_sd_m: (18,) sd of each distance in joints.SKELETON_BONES, m.
-    prediction_sd_m: sd of the prediction per frame of 1/30 s, m.
-    blend: share of the new velocity in the smoothed one (0..1).
-    inferred: weight of inferred joints.
-    lost_after_s: s without any joint after which the person is lost.
-    """
-
-    data_sd_m: float = 0.02
-    scale_m: float = 0.05
-    coarse: float = 8.0
-    iterations: int = 6
-    bone_sd_m: Array = field(default_factory=_BONE_SD_M.copy)
-    prediction_sd_m: float = 0.03
-    blend: float = 0.5
-    inferred: float = 0.5
-    lost_after_s: float = 0.5
-
-    @cached_property
-    def bone_weight(self) -> Array:
-        """(18,) weights 1 / bone_sd_m^2, 1/m^2."""
-        return 1 / self.bone_sd_m**2
+_DATA_SD_M, _PREDICTION_SD_M, _SCALE_M = 0.02, 0.03, 0.05
+"""m: sd of a sensor's joint, sd of the prediction per frame of 1/30 s, and scale of the Cauchy loss."""
+_COARSE, _ITERATIONS = 8.0, 6
+"""Factor of the scale in the first iteration, which is halved per iteration, and number of iterations per frame."""
+_BLEND, _INFERRED_WEIGHT = 0.5, 0.5
+"""Share of the new velocity in the smoothed one, and weight of inferred joints."""
+LOST_AFTER_S = 0.5
+"""s without any joint after which the person is lost."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +213,7 @@ def start_fit(lengths: ArrayLike | None = None) -> FitState:
 
 
 def fit_step(
-    state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings, eyes: Array
+    state: FitState, positions: Array, states: NDArray[np.uint8], time: float, eyes: Array
 ) -> tuple[FitState, FitEstimate]:
     """Fuse the joints of all sensors in one frame.
 
@@ -252,7 +230,7 @@ def fit_step(
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples, _ = adapt_lengths(positions, states, lengths, samples)
-    weights = np.where(states == TRACKED, 1.0, np.where(states > 0, settings.inferred, 0.0))
+    weights = np.where(states == TRACKED, 1.0, np.where(states > 0, _INFERRED_WEIGHT, 0.0))
     points, evidence = np.where(states[..., None] > 0, positions, 0.0), (weights > 0).any(0)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start = state.joints
@@ -266,7 +244,7 @@ def fit_step(
         # a joint that is long unseen slows down and may be anywhere: its bones hold it
         away = np.minimum(time - state.seen, 1.0)
         predicted = start + state.velocity * (dt * np.where(evidence, 1.0, np.exp(-10 * away)))[:, None]
-        prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * away)) ** 2
+        prior = 1 / (_PREDICTION_SD_M * np.maximum(1.0, 30 * away)) ** 2
     x, share, variance = fusion.fit_frame(
         points,
         weights,
@@ -274,18 +252,18 @@ def fit_step(
         prior,
         jt.SKELETON_BONES,
         lengths,
-        settings.bone_weight,
-        1 / settings.data_sd_m**2,
-        settings.scale_m,
-        settings.coarse,
-        settings.iterations,
+        1 / _BONE_SD_M**2,
+        1 / _DATA_SD_M**2,
+        _SCALE_M,
+        _COARSE,
+        _ITERATIONS,
     )
     seen = np.where(evidence, time, state.seen)
     if state.joints is None:
         velocity = np.zeros((15, 3))
     else:
-        velocity = (1 - settings.blend) * state.velocity + settings.blend * (x - state.joints) / dt
-    lost = bool(time - seen.max() > settings.lost_after_s)
+        velocity = (1 - _BLEND) * state.velocity + _BLEND * (x - state.joints) / dt
+    lost = bool(time - seen.max() > LOST_AFTER_S)
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
     if lost or (state.joints is None and not evidence.any()):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))

@@ -21,8 +21,8 @@ from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import (
     DOUBTFUL_P,
+    LOST_AFTER_S,
     FitEstimate,
-    FitSettings,
     clip_lengths,
     fit_step,
     remaining_uncertainty,
@@ -58,20 +58,6 @@ the clip like the other methods.
 
 
 @dataclass(frozen=True)
-class FusionSettings:
-    """Settings of the fusion of one person.
-
-    seed: seed of the swarm's random numbers.
-    check: whether to refuse sensors that see different people.
-    swarm: settings of the swarm; None: those of the method.
-    """
-
-    seed: int = 0
-    check: bool = True
-    swarm: SwarmSettings | None = None
-
-
-@dataclass(frozen=True)
 class Fused:
     """Fused clip of T frames and K sensors.
 
@@ -92,9 +78,10 @@ class Fused:
 def fuse_clip(
     joints: Sequence[SensorJoints],
     method: str = FIT,
-    settings: FusionSettings | None = None,
     registration: Registration | None = None,
     *,
+    seed: int = 0,
+    swarm: SwarmSettings | None = None,
     watch: Callable[[int], None] | None = None,
 ) -> Fused:
     """Fuse the skeletons of one person from a recorded clip.
@@ -103,6 +90,8 @@ def fuse_clip(
     method: one of FUSION_METHODS.
     registration: registration of the sensors; None: estimated robustly from the whole clip and all joints. "published"
         ignores it.
+    seed: seed of the swarm's random numbers.
+    swarm: settings of the swarm; None: those of the method.
     watch: called after every frame with the number of frames fused.
     Returns: the fused motion with its sources; bone lengths are medians over the clip.
     Raises: InputError for an unknown method, for frames whose sensors or joints differ, for a clip without any joint,
@@ -112,7 +101,7 @@ def fuse_clip(
         raise InputError(f"There is no fusion method {method!r}; choose one of {', '.join(FUSION_METHODS)}.")
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
-    s, first = settings or FusionSettings(), joints[0]
+    first = joints[0]
     for t, frame in enumerate(joints):
         if frame.sensor_names != first.sensor_names:
             raise InputError(
@@ -136,22 +125,21 @@ def fuse_clip(
     positions, states = np.stack([f.positions for f in raw]), np.stack([f.state for f in raw])
     if not np.isfinite(positions).any():
         raise InputError("No sensor reports any joint in the whole clip; check that a person was tracked.")
-    if registration is None:
-        registration = register(positions, states)
-        if s.check:
-            check_same_person(positions, registration, first.sensor_names)
-    places = [registration] * len(raw)
     if method == PUBLISHED_SWARM:  # every frame by its triangles
-        unplaced = alone(positions.shape[1])
-        places = list(itertools.accumulate(positions, by_triangles, initial=unplaced))[1:]
+        places = list(itertools.accumulate(positions, by_triangles, initial=alone(positions.shape[1])))[1:]
+    else:
+        if registration is None:
+            registration = register(positions, states)
+            check_same_person(positions, registration, first.sensor_names)
+        places = [registration] * len(raw)
     world = np.stack([place.apply(p) for place, p in zip(places, positions, strict=True)])
     lengths = clip_lengths(positions, states)
     eyes = np.stack([place.common_from_sensor[:, :3, 3] for place in places])
     if method == FIT:
         estimates = _fitted(world, states, times, eyes, lengths)
     else:
-        swarm = _swarm(raw, world, s.swarm or (IMPROVED if method == SWARM else PUBLISHED), s.seed)
-        estimates = _chosen(world, states, times, eyes, lengths, swarm)
+        chosen = _swarm(raw, world, swarm or (IMPROVED if method == SWARM else PUBLISHED), seed)
+        estimates = _chosen(world, states, times, eyes, lengths, chosen)
     fused = list[FitEstimate]()
     for estimate in estimates:
         fused.append(estimate)
@@ -168,7 +156,7 @@ def fuse_clip(
         np.array([f.lost for f in fused]),
         np.isfinite(world[..., 0]).any(2).sum(1),
         lengths,
-        {"recipe": f"fusion-{method}", "seed": s.seed},
+        {"recipe": f"fusion-{method}", "seed": seed},
     )
     return Fused(motion, shares, places[-1], lengths, first.sensor_names)
 
@@ -194,11 +182,11 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     s, seed: settings and seed of the swarm.
     """
     sensors = world.shape[1]
-    swarm, memory = start_swarm(sensors), start_confidence(sensors, s.confidence)
+    swarm, memory = start_swarm(sensors), start_confidence(sensors)
     for frame, registered in zip(raw, world, strict=True):
         seen = frame.positions, frame.state, frame.measured_depth, frame.times
-        memory, inputs = confidence_step(memory, *seen, s.confidence)
-        noise = s.rules.noise(*normalised(inputs, s.confidence))
+        memory, inputs = confidence_step(memory, *seen, s.cured)
+        noise = s.rules.noise(*normalised(inputs, s.cured))
         swarm, estimate = swarm_step(swarm, registered, noise, 0.0, s, seed)
         yield estimate
 
@@ -214,9 +202,9 @@ def _fitted(
     eyes: (T, K, 3) m, positions of the sensors.
     lengths: (18,) m, lengths of joints.SKELETON_BONES.
     """
-    fit, settings = start_fit(lengths), FitSettings()
+    fit = start_fit(lengths)
     for frame in zip(world, states, times.tolist(), eyes, strict=True):
-        fit, estimate = fit_step(fit, *frame[:3], settings, frame[3])
+        fit, estimate = fit_step(fit, *frame)
         yield estimate
 
 
@@ -236,7 +224,7 @@ def _chosen(
         variance = choice.spread**2 / 3
         left = choice.joints[jt.LEFT_SHOULDER] - choice.joints[jt.RIGHT_SHOULDER]
         systematic, wrong = remaining_uncertainty(points, state, at, left, lengths, choice.joints, variance)
-        lost = bool(not reported.any() and time - seen.max() > FitSettings.lost_after_s)
+        lost = bool(not reported.any() and time - seen.max() > LOST_AFTER_S)
         yield FitEstimate(choice.joints, variance, systematic, wrong, choice.shares, lost)
 
 

@@ -17,10 +17,10 @@ from scipy.optimize import linear_sum_assignment
 
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorBody
-from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
+from hypose.fusion.fit import FitState, fit_step, start_fit
 from hypose.fusion.joints import MIRROR, TRUNK_JOINTS
 from hypose.fusion.register import register, robust_motion
-from hypose.geometry import Array
+from hypose.geometry import Array, transform
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ class PeopleTracker:
         """
         s, link = self.settings, self._links[name]
         assert link.motion is not None
-        placed = [transform_points(link.motion, b.positions) for b in bodies]
+        placed = [transform(link.motion, b.positions) for b in bodies]
         centres = [trunk_centre(j) for j in placed]
         free = [i for i, c in enumerate(centres) if c is not None]
         matched = 0
@@ -262,15 +262,11 @@ class PeopleTracker:
         swapped = [is_swapped(p.placed[n], p.joints) for n in names]
         stacked = np.array([p.placed[n][MIRROR] if s else p.placed[n] for n, s in zip(names, swapped, strict=True)])
         w = np.array([p.members[n].state for n in names], dtype=np.float64)
-        if any(swapped):
-            w[swapped] = w[swapped][:, MIRROR]
-        if w.min() == 0:
-            stacked[w == 0] = 0.0
+        w[swapped] = w[swapped][:, MIRROR]
+        stacked = np.where(w[..., None] > 0, stacked, 0.0)
         total = w.sum(0)
         summed = (stacked * w[..., None]).sum(0)
-        mean = summed / np.maximum(total, 1)[:, None]
-        if total.min() == 0:
-            mean[total == 0] = np.nan
+        mean = np.where(total[:, None] > 0, summed / np.maximum(total, 1)[:, None], np.nan)
         for n, name in enumerate(names):
             p.last[name] = p.members[name].person
             link = self._links[name]
@@ -282,7 +278,7 @@ class PeopleTracker:
                     own = p.members[name].positions
                     link.noted = now
                     link.pairs.append((now, own[MIRROR] if swapped[n] else own, np.where(weight > 0, others, np.nan)))
-        p.joints = mean if total.min() > 0 else np.where(total[:, None] > 0, mean, p.joints)
+        p.joints = np.where(total[:, None] > 0, mean, p.joints)
         centre = trunk_centre(mean)
         if centre is not None:
             step = now - p.time
@@ -366,11 +362,8 @@ def is_swapped(joints: Array, like: Array) -> bool:
     joints, like: (15, 3) m of both skeletons, in the same frame.
     """
     a, b = joints - like, joints[MIRROR] - like
-    plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))
-    if plain != plain or mirrored != mirrored:  # NaN: only the joints that all three have
-        both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
-        plain, mirrored = float(np.vdot(a[both], a[both])), float(np.vdot(b[both], b[both]))
-    return mirrored < plain
+    both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])  # only the joints that all three have
+    return bool((b[both] ** 2).sum() < (a[both] ** 2).sum())
 
 
 # ---- places of sensors -----------------------------------------------------------------------------------------------
@@ -421,7 +414,7 @@ def find_place(
         if int(use.sum()) < 20:
             return None
         motion, apart = robust_motion(source[use], target[use], np.ones(int(use.sum())), iterations)
-        d = np.linalg.norm(transform_points(motion, theirs)[:, :, None] - ours[:, None], axis=-1)
+        d = np.linalg.norm(transform(motion, theirs)[:, :, None] - ours[:, None], axis=-1)
         nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)[counted]
         # the mean distance of persons from tracked ones counts from 0.1 m, which is noise
         away = max(0.0, float(np.minimum(nearest, 0.5).mean()) - 0.1) if len(nearest) else 0.0
@@ -467,7 +460,7 @@ def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
     for bodies, people in shots:
         if not bodies or not people:
             continue
-        there = transform_points(motion, np.stack(list(bodies.values())))
+        there = transform(motion, np.stack(list(bodies.values())))
         d = np.linalg.norm(there[:, None] - np.stack(list(people.values()))[None], axis=-1)
         known = np.isfinite(d)
         middle = np.ma.median(np.ma.masked_array(np.where(known, d, 0.0), ~known), axis=-1).filled(np.inf)
@@ -475,24 +468,13 @@ def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
     return float(np.median(scores)) if scores else np.inf
 
 
-def transform_points(motion: Array, points: Array) -> Array:
-    """Transform points by one rigid motion (4, 4); a fast version of `geometry.transform`."""
-    return points @ motion[:3, :3].T + motion[:3, 3]
-
-
 def trunk_centre(joints: Array) -> Array | None:
     """Compute the mean (3,) of the trunk joints of a skeleton (15, 3); None where fewer than three of
     them are known.
     """
-    trunk = joints[_TRUNK]
-    mean = trunk.sum(0) / len(_TRUNK)
-    if mean[0] == mean[0]:
-        return mean
-    known = np.isfinite(trunk[:, 0])
-    if int(known.sum()) < 3:
-        return None
+    known = _TRUNK[np.isfinite(joints[_TRUNK, 0])]
     # each missing joint shifts the plain mean by some centimetres, which is less than the gate
-    return trunk[known].mean(0)
+    return joints[known].mean(0) if len(known) >= 3 else None
 
 
 # ---- live fusion ---------------------------------------------------------------------------------------------------
@@ -600,7 +582,7 @@ class LiveFuser:
                 positions[k], state[k] = p.placed[name], p.bodies[name].state
                 eyes[k] = self.people.transforms[name][:3, 3]
         before = self._states.get(p.id) or start_fit()
-        self._states[p.id], estimate = fit_step(before, positions, state, now, FitSettings(), eyes)
+        self._states[p.id], estimate = fit_step(before, positions, state, now, eyes)
         sd = np.sqrt(estimate.variance + estimate.systematic)
         return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
 
@@ -610,6 +592,4 @@ def _warm_up() -> None:
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()
     for n in range(2):
-        state, _ = fit_step(
-            state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, FitSettings(), np.zeros((1, 3))
-        )
+        state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, np.zeros((1, 3)))

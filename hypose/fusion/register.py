@@ -20,7 +20,7 @@ from hypose.compute.losses import lorentzian_weight
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.geometry import Array, procrustes, transform
+from hypose.geometry import Array, frame_of, procrustes, transform, unit
 
 LARGEST_RESIDUAL_M = 0.25
 """m, median distance after registration beyond which two sensors cannot see the same person."""
@@ -205,19 +205,16 @@ def upward(positions: ArrayLike) -> Array:
     trunk = trunk[np.isfinite(trunk).all(1)]
     if not len(trunk):
         return np.array([0.0, -1.0, 0.0])
-    up = np.median(trunk, axis=0)
-    return up / np.linalg.norm(up)
+    return unit(np.median(trunk, axis=0))
 
 
 def upright_axes(up: Array) -> Array:
     """Compute the rotation world_from_sensor (3, 3) whose z axis is `up` (3,) and whose y axis points away from the
     sensor.
     """
-    away: Array = np.array([0.0, 0.0, 1.0]) - up[2] * up
-    if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
-        away = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    y: Array = away / np.linalg.norm(away)
-    return np.stack([np.cross(y, up), y, up]).astype(np.float64)
+    straight_down = np.abs(up[2]) > 0.98
+    _, y, left = frame_of(up, [1.0, 0.0, 0.0] if straight_down else [0.0, 0.0, 1.0]).T
+    return np.stack([-left, y, up])
 
 
 def alone(sensors: int) -> Registration:

@@ -35,7 +35,7 @@ from hypose.inference.layer import Layer, Recipe, search, stream
 # posture A.
 #
 # Source of the measures: Asteriadis et al. 2013, section 2.3, eq. 5-6; each is divided by its maximum over the sensors
-# (section 2.4). Deviations, each with its own setting: D subtracts the thickness of the body in front of the joint,
+# (section 2.4). Deviations, all with the setting `cured`: D subtracts the thickness of the body in front of the joint,
 # keeps the last valid error over holes of the depth map, and is clipped and floored; the sensor's own joint state and
 # the deviation of bone lengths are merged into D.
 #
@@ -51,37 +51,8 @@ THICKNESS_M = np.array([90, 60, 65, 48, 42, 65, 48, 42, 125, 95, 68, 52, 95, 68,
 """(15,) thickness of the body between a joint and the surface that a depth sensor sees, m."""
 # joint, its two neighbours: the angle of A. Only these have one; all other joints get A = 0.
 _ANGLES = np.array([(3, 2, 4), (6, 5, 7), (10, 9, 11), (13, 12, 14)]).T
-_NO_DEPTH_M = 4.0
-_INFERRED_M = 0.15
-
-
-@dataclass(frozen=True)
-class ConfidenceSettings:
-    """Settings of the measures F (inverse fluidity), D (depth error) and A (unnatural posture) of a sensor's joint. The
-    defaults are the paper's.
-
-    window: number of frames over which F is computed.
-    thickness: whether to subtract THICKNESS_M from the depth error.
-    hold: whether to keep the last depth error over holes of the depth map; else a hole counts as depth 0.
-    clip_m: largest D, m.
-    floor_m: D is divided by at least this, m.
-    merge_bones: whether D is at least twice the deviation of the joint's bone from its usual length.
-    merge_state: whether D of an inferred joint is at least 0.15 m.
-    """
-
-    window: int = 15
-    thickness: bool = False
-    hold: bool = False
-    clip_m: float = _NO_DEPTH_M
-    floor_m: float = 0.0
-    merge_bones: bool = False
-    merge_state: bool = False
-
-
-PUBLISHED_CONFIDENCE = ConfidenceSettings()
-CURED_CONFIDENCE = ConfidenceSettings(
-    thickness=True, hold=True, clip_m=0.3, floor_m=0.15, merge_bones=True, merge_state=True
-)
+_MOST_D_M, _CURED_MOST_D_M = 4.0, 0.3  # largest D: as published (the paper gives none), and with the cures
+_INFERRED_M = 0.15  # with the cures, least D of an inferred joint, and least divisor of D
 
 
 @dataclass(frozen=True)
@@ -108,9 +79,9 @@ class ConfidenceState:
     samples: Array
 
 
-def start_confidence(sensors: int, settings: ConfidenceSettings) -> ConfidenceState:
-    """Make the memory of the measures before the first frame."""
-    shape = (settings.window, sensors, 15)
+def start_confidence(sensors: int, window: int = 15) -> ConfidenceState:
+    """Make the memory of the measures before the first frame; F is computed over `window` frames."""
+    shape = (window, sensors, 15)
     return ConfidenceState(
         np.full((sensors, 15, 3), np.nan),
         np.full(sensors, np.nan),
@@ -129,7 +100,7 @@ def confidence_step(
     state: NDArray[np.uint8],
     depth: Sequence[Array],
     times: Array,
-    settings: ConfidenceSettings,
+    cured: bool,
 ) -> tuple[ConfidenceState, Array]:
     """Compute the measures inverse fluidity F, depth error D and unnatural posture A of one frame, before
     normalisation.
@@ -139,11 +110,11 @@ def confidence_step(
     state: (K, 15) joint states.
     depth: one array (K, 15) m, depth map at the joints' pixels, 0 = hole; none without depth maps.
     times: (K,) s of the reports.
-    settings: settings of the measures.
+    cured: whether D has the cures: the joint's thickness, holes, the bones' lengths, the state of the joint.
     Returns: the new memory, and (3, K, 15) = F (m/s, eq. 5), D (m), A (0..1). The speed of a joint that was missing, or
         of a report without a new time, counts as 0.
     """
-    t, n = memory.frames, settings.window
+    t, n = memory.frames, len(memory.speeds)
     passed = (times - memory.times)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         speed = np.where(passed > 0, np.linalg.norm(positions - memory.last, axis=-1) / passed, 0.0)
@@ -153,15 +124,14 @@ def confidence_step(
     off, held = np.zeros(state.shape), memory.held
     lengths, samples = memory.lengths, memory.samples
     for measured in depth:
-        off, held = depth_error(positions[..., 2], measured, held, settings)
-    if settings.merge_bones:
+        off, held = depth_error(positions[..., 2], measured, held, cured)
+    if cured:
         # how far each sensor's bones deviate from their usual lengths
         lengths, samples, length = adapt_lengths(positions, state, lengths, samples, _LIMB_BONES, 300)
         deviation, apart = np.zeros(state.shape), np.where(lengths > 0, np.abs(length - lengths), 0.0)
         deviation[:, _LIMB] = np.where(np.isfinite(apart), apart, 0.3)
         deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
-        off = np.maximum(off, np.minimum(2 * deviation, settings.clip_m))
-    if settings.merge_state:
+        off = np.maximum(off, np.minimum(2 * deviation, _CURED_MOST_D_M))
         off = np.maximum(off, np.where(state < TRACKED, _INFERRED_M, 0.0))
     inputs = np.stack([activations[: t + 1].std(0), off, unnatural(positions)])
     new = ConfidenceState(
@@ -170,20 +140,22 @@ def confidence_step(
     return new, inputs
 
 
-def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
+def depth_error(z: Array, depth: Array, held: Array, cured: bool) -> tuple[Array, Array]:
     """Compute the depth error D = |z of the joint - depth map at its pixel| (section 2.3.2).
 
     z: (K, 15) m, depths of the joints.
     depth: (K, 15) m, depth map at their pixels, 0 = hole.
-    held: (K, 15) m, errors of the last frame, used at holes where `settings.hold` is set.
+    held: (K, 15) m, errors of the last frame.
+    cured: whether the thickness of the body is subtracted, and errors are held over holes.
     Returns: D (K, 15) m, and the errors to hold for the next frame.
     Deviation: a hole of the depth map counts as a depth of 0, and D is at most 4 m; the paper gives no rule for either.
     """
+    most = _CURED_MOST_D_M if cured else _MOST_D_M
     with np.errstate(invalid="ignore"):
-        error = np.abs(z - depth - (THICKNESS_M if settings.thickness else 0.0))
-    if settings.hold:
+        error = np.abs(z - depth - (THICKNESS_M if cured else 0.0))
+    if cured:
         error = np.where((depth > 0) & np.isfinite(z), error, held)
-    error = np.minimum(np.where(np.isfinite(error), error, settings.clip_m), settings.clip_m)
+    error = np.fmin(error, most)
     return error, error
 
 
@@ -207,10 +179,10 @@ def unnatural(positions: ArrayLike) -> Array:
     return out
 
 
-def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
-    """Divide the raw measures (3, K, 15) by their maxima over the sensors (for D at least floor_m)."""
+def normalised(inputs: Array, cured: bool) -> Array:
+    """Divide the raw measures (3, K, 15) by their maxima over the sensors (for D with the cures, at least 0.15 m)."""
     top = inputs.max(axis=1, keepdims=True)
-    top[1] = np.maximum(top[1], settings.floor_m)
+    top[1] = np.maximum(top[1], _INFERRED_M if cured else 0.0)
     return inputs / np.maximum(top, 1e-9)
 
 
@@ -220,6 +192,7 @@ _END = np.array([4, 7, 11, 14])
 
 
 LOW, MEDIUM, HIGH = "low", "medium", "high"
+MEDIUM_SD = 0.3
 
 
 @dataclass(frozen=True)
@@ -229,22 +202,19 @@ class NoiseRules:
 
     low_centre, high_centre: centres of the sigmoids "low" and "high".
     slope: slope of both sigmoids.
-    medium_centre, medium_sd: medium centre and medium sd of the Gaussian "medium".
-    points: number of samples of the output for the centroid.
+
+    The set "medium" is a Gaussian of centre 0.5 and sd MEDIUM_SD; the centroid is that of 51 samples of the output.
     """
 
     low_centre: float = 0.25
     high_centre: float = 0.75
     slope: float = 6.0
-    medium_centre: float = 0.5
-    medium_sd: float = 0.3
-    points: int = 51
 
     def membership(self, x: ArrayLike, name: str) -> Array:
         """Compute the degree (...) to which values x (...) are LOW, MEDIUM or HIGH (the argument `name`)."""
         v = np.asarray(x, dtype=np.float64)
         if name == MEDIUM:
-            return np.exp(-0.5 * ((v - self.medium_centre) / self.medium_sd) ** 2)
+            return np.exp(-0.5 * ((v - 0.5) / MEDIUM_SD) ** 2)
         centre, sign = (self.low_centre, 1.0) if name == LOW else (self.high_centre, -1.0)
         return 1 / (1 + np.exp(sign * self.slope * (v - centre)))
 
@@ -270,7 +240,7 @@ class NoiseRules:
 
     @cached_property
     def _consequents(self) -> tuple[Array, Array]:
-        out = np.linspace(0, 1, self.points)
+        out = np.linspace(0, 1, 51)
         low, medium, high = (self.membership(out, n) for n in (LOW, MEDIUM, HIGH))
         return out, np.stack([low, high, medium, medium, medium])
 
@@ -278,7 +248,7 @@ class NoiseRules:
         """Combine the rules' scaled output sets by the algebraic sum.
 
         f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
-        Returns: (..., points) membership of the output at points evenly spaced over [0, 1].
+        Returns: (..., 51) membership of the output at points evenly spaced over [0, 1].
         """
         strength = self.firing(f, d, a)
         sets = self._consequents[1]
@@ -322,7 +292,7 @@ class SwarmSettings:
     restart_every: number of frames between restarts (0 = never).
     restart_turn: rad that the person turns between restarts (0 = never); `fuse` computes no heading, so that it is for
         callers of `swarm_step`.
-    confidence: settings of the measures of which the noise is made.
+    cured: whether the depth error, of which the noise is made, has the cures.
     rules: fuzzy rules of the noise.
     """
 
@@ -336,7 +306,7 @@ class SwarmSettings:
     weighted: bool = False
     restart_every: int = 50
     restart_turn: float = 0.0
-    confidence: ConfidenceSettings = PUBLISHED_CONFIDENCE
+    cured: bool = False
     rules: NoiseRules = PUBLISHED_RULES
 
 
@@ -348,7 +318,7 @@ IMPROVED = SwarmSettings(
     immigrants=3,
     universal=True,
     weighted=True,
-    confidence=CURED_CONFIDENCE,
+    cured=True,
     rules=SHARP_RULES,
 )
 """Settings chosen on simulated recordings of seeds below 1000. Baker's sampling chooses the same sensors and is

@@ -34,24 +34,15 @@ class EventSettings:
 
 
 @dataclass(frozen=True)
-class Event:
-    """Start or end of a gesture.
+class Event(Localisation):
+    """Start or end of a gesture, and its place in that frame.
 
     kind: "start" or "end".
-    gesture: number of the gesture, from 1.
     time: s.
-    x, y: pixel.
-    position: (3,) m in the camera's frame; None where no depth was measured.
-    score: cm^2.
     """
 
     kind: Literal["start", "end"]
-    gesture: int
     time: float
-    x: float
-    y: float
-    position: NDArray[np.float64] | None
-    score: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +84,7 @@ def detect_events(
             since = time if w.since is None else w.since
             if time - since >= needed - 1e-9:
                 kind: Literal["start", "end"] = "end" if w.on else "start"
-                events.append(Event(kind, f.gesture, time, f.x, f.y, f.position, f.score))
+                events.append(Event(**vars(f), kind=kind, time=time))
                 w = _Watch(not w.on, None, time if w.on else w.ended)
             else:
                 w = replace(w, since=since)

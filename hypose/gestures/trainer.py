@@ -301,8 +301,6 @@ class Trainer:
         depth: DepthImage,
         lens: DepthLens,
         at: tuple[float, float],
-        *,
-        mine: bool = True,
     ) -> Taught | None:
         """Learn a frame outside the order of the session, such as one of a recording.
 
@@ -310,17 +308,13 @@ class Trainer:
         depth: (h, w) uint16 mm, 0 = hole.
         lens: lens parameters of the depth camera.
         at: (x, y) px of the gesture.
-        mine: whether to learn hard negatives.
         Returns: what was learned; None where no usable depth is at the pixel. Forest, moving averages and the data of
             the threshold change as in a live session.
         """
         learner, shows = self.learner, kind == "gesture"
-        look = learner.settings.look
-        # the score is that before the frame is learned, as with hard negatives
-        before = None if mine else localise(depth, lens, [learner.forest], look, learner.scratch)[0]
-        taught = learner.show(depth, lens, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
-        if taught is not None and (found := taught.found or before) is not None:
-            score = found.score
+        taught = learner.show(depth, lens, *at) if shows else learner.reject(depth, lens)
+        if taught is not None and taught.found is not None:
+            score = taught.found.score  # before the frame was learned
             session = replace(self.session, phase="positive" if shows else "negative")
             self.session = update_maximum(session, self.settings, score)
             if shows:

@@ -22,10 +22,6 @@ Energy = Callable[[Hypotheses, Any], ArrayLike]
 good; a non-finite cost means a failed measurement."""
 
 
-AnnealingRate = Callable[[FloatArray], FloatArray]
-"""Function that chooses the exponent beta (*B,) of the weights, one per population, for energies (*B, N)."""
-
-
 def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
     """Solve for the exponent beta at which the survival rate equals a target, by bisection in log beta.
 
@@ -61,56 +57,31 @@ def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 5
 
 
 @dataclass(frozen=True)
-class FixedAnnealingRate:
-    """Annealing rate with a fixed exponent beta, as in the papers.
-
-    Source: Alcoverro 2014, eq. (2.9).
-    """
-
-    beta: float = 1.0
-
-    def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """Return the same exponent for every population."""
-        return np.full(energies.shape[:-1], float(self.beta))
-
-
-@dataclass(frozen=True)
-class SurvivalRate:
-    """Annealing rate that solves for the beta at which the share `target` of the set survives.
-
-    Raises: ValueError where the target is not in (0, 1].
-    Source: Deutscher & Reid 2005.
-    """
-
-    target: float = 0.15
-
-    def __post_init__(self) -> None:
-        if not 0 < self.target <= 1:
-            raise ValueError(f"a survival rate lies in (0, 1], got {self.target}")
-
-    def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """Solve for the exponent of each population separately."""
-        return solve_annealing_rate(energies, self.target)
-
-
-@dataclass(frozen=True)
 class SmoothedWeight:
     """Weighing function that turns an energy E into log-weights -beta (E - min E).
 
     energy: cost of each hypothesis; non-finite costs get weight 0 (log-weight -inf).
-    rate: chooses beta.
+    survival: share of the set that survives, for which beta is solved (Deutscher & Reid 2005).
+    beta: fixed exponent, as in the papers; None: that of the survival rate.
+    Raises: ValueError where the survival rate is not in (0, 1].
     Source: Alcoverro 2014, eqs. (2.8) and (2.9).
     Why: the minimum is subtracted because weights count only up to a factor, and a large beta would otherwise remove
     the digits in which energies differ.
     """
 
     energy: Energy
-    rate: AnnealingRate = SurvivalRate()
+    survival: float = 0.15
+    beta: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.survival <= 1:
+            raise ValueError(f"a survival rate lies in (0, 1], got {self.survival}")
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
         """Compute the log-weights (*B, N), at most 0."""
         energies = np.asarray(self.energy(h, frame), dtype=np.float64)
-        beta = self.rate(energies)
+        fixed = self.beta is not None
+        beta = np.full(energies.shape[:-1], self.beta) if fixed else solve_annealing_rate(energies, self.survival)
         excess, usable = _excess(energies)
         return np.where(usable, -beta[..., None] * excess, -np.inf)
 

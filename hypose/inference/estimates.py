@@ -7,50 +7,37 @@ across +-pi.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+from scipy.special import softmax
 
 from hypose.geometry import nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import FloatArray, Hypotheses
 
+_KARCHER_STEPS = 30
 
-@dataclass(frozen=True)
-class TangentMean:
-    """Estimate that takes the weighted mean of a set and averages its rotation vectors on SO(3) (Karcher mean).
+
+def tangent_mean(h: Hypotheses, /, rotations: ArrayLike) -> FloatArray:
+    """Compute the weighted mean state (*B, D) of a set, with rotation vectors averaged on SO(3) (Karcher mean).
 
     rotations: first column of each rotation vector (3 columns, rad) in the states (*B, N, D); all other columns are
         averaged as they are.
-    iterations: largest number of steps of the Karcher mean.
 
     The mean rotation vectors lie on the branch nearest to the hypothesis of largest weight. Where a set is spread over
     more than half a turn, the mean is a local one near that hypothesis.
     """
-
-    rotations: tuple[int, ...] = ()
-    iterations: int = 30
-
-    def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """Compute the mean state (*B, D)."""
-        mean = h.mean()
-        if not self.rotations:
-            return mean
-        columns, weights = self._columns(), h.weights[..., None, None]
-        best = h.best()[..., columns]
-        rotations, centre = so3_exp(h.values[..., columns]), so3_exp(best)
-        for _ in range(self.iterations):
-            away = so3_log(rotations @ np.swapaxes(centre, -1, -2)[..., None, :, :, :])
-            step = (weights * away).sum(-3)
-            centre = so3_exp(step) @ centre
-            if np.abs(step).max() < 1e-10:
-                break
-        mean[..., columns] = nearest_branch(so3_log(centre), best)
-        return mean
-
-    def _columns(self) -> NDArray[np.intp]:
-        """Return the columns (R, 3) of the R rotation vectors."""
-        return np.asarray(self.rotations, dtype=np.intp)[:, None] + np.arange(3)
+    columns = np.asarray(rotations, dtype=np.intp)[:, None] + np.arange(3)
+    mean, best, weights = h.mean(), h.best()[..., columns], h.weights[..., None, None]
+    rotation, centre = so3_exp(h.values[..., columns]), so3_exp(best)
+    for _ in range(_KARCHER_STEPS):
+        away = so3_log(rotation @ np.swapaxes(centre, -1, -2)[..., None, :, :, :])
+        step = (weights * away).sum(-3)
+        centre = so3_exp(step) @ centre
+        if np.abs(step).max() < 1e-10:
+            break
+    mean[..., columns] = nearest_branch(so3_log(centre), best)
+    return mean
 
 
 def likeliest_path(costs: Sequence[FloatArray], steps: Sequence[FloatArray]) -> tuple[list[int], list[FloatArray]]:
@@ -70,16 +57,10 @@ def likeliest_path(costs: Sequence[FloatArray], steps: Sequence[FloatArray]) -> 
         best.append(reached.min(0) + cost)
         ahead.append(np.logaddexp.reduce(ahead[-1][:, None] - step, 0) - cost)
     path = [int(best[-1].argmin())]
-    weights = [_shares(ahead[-1])]
+    weights = [softmax(ahead[-1])]
     after = np.zeros(len(costs[-1]))
     for t in range(len(steps) - 1, -1, -1):
         path.append(int(came[t][path[-1]]))
         after = np.logaddexp.reduce(after - costs[t + 1] - steps[t], 1)
-        weights.append(_shares(ahead[t] + after))
+        weights.append(softmax(ahead[t] + after))
     return path[::-1], weights[::-1]
-
-
-def _shares(log: FloatArray) -> FloatArray:
-    """Convert log-weights (N,) to shares that sum to 1."""
-    share = np.exp(log - log.max())
-    return share / share.sum()

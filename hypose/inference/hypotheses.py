@@ -37,8 +37,7 @@ class Hypotheses:
     role: (*B, N) bit mask, bit k stands for role_names[k]; one number stands for all. Read it with `has`, write it with
         `marked`.
     role_names: names of the roles, at most 31.
-    covariance: (*B, N, D, D) covariance of each single hypothesis, or None.
-    columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost).
+    columns: further arrays (*B, N, ...) by name, one row per hypothesis (a velocity, a cost, a covariance).
     Raises: ValueError where shapes do not agree or a population is empty.
     """
 
@@ -47,7 +46,6 @@ class Hypotheses:
     origin: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role: _IntArray = field(default_factory=lambda: np.zeros((), np.int32))
     role_names: tuple[str, ...] = ()
-    covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,11 +67,6 @@ class Hypotheses:
             if column.shape != log_weights.shape:
                 raise ValueError(f"{name} {column.shape} must be {log_weights.shape}, one number per hypothesis")
             object.__setattr__(self, name, column)
-        if self.covariance is not None:
-            covariance = np.asarray(self.covariance, dtype=np.float64)
-            if covariance.shape != (*values.shape, values.shape[-1]):
-                raise ValueError(f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}")
-            object.__setattr__(self, "covariance", covariance)
         for name, column in self.columns.items():
             if column.shape[: log_weights.ndim] != log_weights.shape:
                 raise ValueError(f"the column '{name}' {column.shape} needs one row per hypothesis {log_weights.shape}")
@@ -86,11 +79,13 @@ class Hypotheses:
         origin: (*B, N) number of the sensor, kernel or parent of each hypothesis, or one number for all.
         """
         states = np.asarray(values, dtype=np.float64)
-        return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
+        shape = states.shape[:-1]
+        return Hypotheses(states, np.full(shape, -np.log(max([1, *shape[-1:]]))), np.asarray(origin, np.int32))
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
         """Return the same hypotheses with equal weights 1/N, at other values (*B, N, D) where given."""
-        return (self if values is None else self.at(values))._with(log_weights=_equal_log_weights(self.values))
+        equal = np.full(self.log_weights.shape, -np.log(self.count))
+        return (self if values is None else self.at(values))._with(log_weights=equal)
 
     def at(self, values: FloatArray) -> Hypotheses:
         """Return the same hypotheses at other values (*B, N, D)."""
@@ -143,15 +138,10 @@ class Hypotheses:
         """Number N of hypotheses per population."""
         return self.values.shape[-2]
 
-    @property
-    def dimension(self) -> int:
-        """Number D of coordinates of a state."""
-        return self.values.shape[-1]
-
     @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights relative to the best, which is 0; -inf for weight 0; all 0 where the evidence is lost."""
-        usable = _usable(self.log_weights)
+        usable = np.isfinite(self.log_weights)
         if usable.all():  # the usual case
             return self.log_weights - self.log_weights.max(axis=-1, keepdims=True)
         log_weights = np.where(usable, self.log_weights, -np.inf)
@@ -176,11 +166,11 @@ class Hypotheses:
         extra = np.asarray(log_likelihood, dtype=np.float64)
         if extra.shape != self.log_weights.shape:
             raise ValueError(f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}")
-        usable = np.where(_usable(extra), extra, -np.inf)
+        usable = np.where(np.isfinite(extra), extra, -np.inf)
         return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
-        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.TangentMean`."""
+        """Compute the weighted Euclidean mean (*B, D); for rotations use `estimates.tangent_mean`."""
         return np.einsum("...n,...nd->...d", self.weights, self.values)
 
     def best(self) -> FloatArray:
@@ -199,25 +189,18 @@ class Hypotheses:
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """Select hypotheses by index (*B, M), with their log-weights, origins, roles, covariances and columns."""
+        """Select hypotheses by index (*B, M), with their log-weights, origins, roles and columns."""
         chosen = np.asarray(index, dtype=np.intp)
         return self._with(
             values=_taken(self.values, chosen),
             log_weights=_taken(self.log_weights, chosen),
             origin=_taken(self.origin, chosen),
             role=_taken(self.role, chosen),
-            covariance=None if self.covariance is None else _taken(self.covariance, chosen),
             columns={name: _taken(column, chosen) for name, column in self.columns.items()},
         )
 
 
 _FIELDS = tuple(f.name for f in fields(Hypotheses))
-
-
-def _equal_log_weights(values: FloatArray) -> FloatArray:
-    """Return equal log-weights (*B, N) for states (*B, N, D)."""
-    shape = values.shape[:-1]
-    return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
 
 
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
@@ -226,8 +209,3 @@ def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
         return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))
     return np.take_along_axis(column, index, chosen.ndim - 1)
-
-
-def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:
-    """Mark finite log-weights: -inf is weight 0; NaN and +inf come from a failed measurement."""
-    return np.isfinite(log_weights)

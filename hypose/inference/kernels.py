@@ -160,7 +160,7 @@ def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.i
     """
     first = np.full(dimension, len(partitions), dtype=np.intp)
     for number in range(len(partitions) - 1, -1, -1):
-        first[_mask(partitions[number], dimension)] = number
+        first[np.asarray(partitions[number])] = number
     return first
 
 
@@ -208,10 +208,3 @@ def every(share: float, count: int) -> NDArray[np.intp]:
     Returns: indices of the chosen rows. Whether a row is chosen is the same for every `count`.
     """
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
-
-
-def _mask(coordinates: ArrayLike, dimension: int) -> NDArray[np.bool_]:
-    """Convert coordinates, as a mask (D,) or as indices, to a mask (D,); D = dimension."""
-    chosen, mask = np.asarray(coordinates), np.zeros(dimension, bool)
-    mask[chosen if chosen.dtype == np.bool_ else chosen.astype(np.intp)] = True
-    return mask

@@ -14,7 +14,6 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 from hypose.inference.hypotheses import FloatArray, Hypotheses
@@ -61,11 +60,6 @@ class Layer:
     needed: Callable[[Hypotheses, Any], bool] | None = None
 
 
-def as_given(pose: FloatArray, frame: Any, /) -> FloatArray:
-    """Start the first frame at the pose that the caller gives (default of `Recipe.start`)."""
-    return pose
-
-
 def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
     """Predict no motion: the next pose is the last one (default of `Recipe.predict`).
 
@@ -75,21 +69,18 @@ def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
     return np.zeros_like(step)
 
 
-@dataclass(frozen=True)
-class GoOn:
-    """Prediction that repeats a share of the last step, less after every frame without evidence.
+def go_on(step: FloatArray, blind: int, /) -> FloatArray:
+    """Predict the last step (D,) again: GAIN times it, less after every frame without evidence.
 
-    gain: the predicted step is gain^(1 + number of frames without evidence) times the last step.
-
+    blind: number of frames without evidence.
     Use it for poses that are solved: the step between two means of a set is mostly noise, which the prediction would
     feed back.
     """
+    return GAIN ** (1 + blind) * step
 
-    gain: float = 0.8
 
-    def __call__(self, step: FloatArray, blind: int, /) -> FloatArray:
-        """Predict the next step (D,)."""
-        return self.gain ** (1 + blind) * step
+GAIN = 0.8
+"""Share of the last step that `go_on` predicts again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +105,7 @@ class Recipe:
     layers: turns of propagate, weigh, resample, one after the other.
     particles: number of hypotheses N.
     needs: kinds of evidence that the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).
-    start(pose, frame): pose (D,) at which the search of the first frame begins, from the given one.
+    start(pose, frame): pose (D,) at which the search of the first frame begins, from the given one (default: that).
     predict(step, blind): step (D,) expected after the last step and `blind` frames without evidence; None: the layers
         move every hypothesis themselves and apply its limits.
     estimate(h): state (*B, D) of a weighted set.
@@ -135,7 +126,7 @@ class Recipe:
     layers: Sequence[Layer]
     particles: int = 500
     needs: tuple[str, ...] = ()
-    start: Callable[[FloatArray, Any], FloatArray] = as_given
+    start: Callable[[FloatArray, Any], FloatArray] = lambda pose, frame: pose
     predict: Callable[[FloatArray, int], FloatArray] | None = stand_still
     estimate: Estimate = Hypotheses.mean
     uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None
@@ -229,22 +220,10 @@ def stream(seed: int, frame: int, layer: int) -> np.random.Generator:
     grows.
     """
     counter = np.array([0, 0, layer % _WORD, frame % _WORD], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
-
-
-class _Key(ISeedSequence):
-    """Seed sequence that returns a given key. Why: with a plain key numpy first reads entropy from the system and
-    discards it.
-    """
-
-    def __init__(self, seed: int) -> None:
-        self._words = np.random.SeedSequence(seed).generate_state(2, np.uint64)
-
-    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
-        """Return the key as two words of 64 bits."""
-        return self._words
+    return np.random.Generator(np.random.Philox(key=_key(seed % 2**128), counter=counter))
 
 
 @lru_cache(16)
-def _key(seed: int) -> Any:  # numpy accepts a seed sequence of its user, which its type stubs do not say
-    return _Key(seed)
+def _key(seed: int) -> NDArray[np.unsignedinteger]:
+    """Hash a seed to the key (2,) of a generator."""
+    return np.random.SeedSequence(seed).generate_state(2, np.uint64)

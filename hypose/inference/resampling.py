@@ -7,7 +7,9 @@ Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagaw
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,6 +52,23 @@ def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
     over layers).
     """
     return h
+
+
+def distinct(places: FloatArray, count: int, apart: float, over: Callable[..., Any] = np.max) -> list[int]:
+    """Select the best hypotheses that differ from all better ones; at most count.
+
+    places: (M, L, 3) points by which hypotheses are compared, m, those of the best one first.
+    apart: hypotheses differ where the distances of their points are larger than this, m.
+    over: makes one number of the L distances: the largest, or np.mean.
+    Returns: their indices, best first.
+    """
+    keep: list[int] = []
+    for n in range(len(places)):
+        if all(over(np.linalg.norm(places[n] - places[k], axis=1)) > apart for k in keep):
+            keep.append(n)
+        if len(keep) == count:
+            break
+    return keep
 
 
 @dataclass(frozen=True)

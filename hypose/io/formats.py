@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import InputError
-from hypose.io.file_names import natural_key
-from hypose.io.files import csv_rows, numbers_of
+from hypose.io.files import csv_rows, natural_key, numbers_of
 
 
 class Source:
@@ -51,11 +50,6 @@ class Source:
         return sorted(found, key=lambda p: natural_key(p.name))
 
 
-def _by_name_alone(source: Source) -> bool:
-    """Accept any content."""
-    return True
-
-
 @dataclass(frozen=True)
 class Format:
     """Description of a file format: names, and functions that recognise, read and write it.
@@ -64,7 +58,7 @@ class Format:
     suffixes: ends of its files' names, in lower case; "/" for a folder.
     read: reader of a source, which may take more arguments, the same in a whole table; None where it is only
         written.
-    sniff: test whether a source with such a name has this format, by its content.
+    sniff: test whether a source with such a name has this format, by its content; None: the name decides.
     write: writer, with the same arguments in a whole table; None where it is only read.
     limits: what the format cannot hold, for the documentation.
     precision: largest difference between a value that is written and the same value read back, in the value's unit.
@@ -73,7 +67,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     read: Callable[..., Any] | None = None
-    sniff: Callable[[Source], object] = _by_name_alone
+    sniff: Callable[[Source], object] | None = None
     write: Callable[..., Any] | None = None
     limits: str = ""
     precision: float = 0.0
@@ -121,7 +115,7 @@ class FormatTable:
         source = Source(path, self.kind, self.parse)
         fitting = [f for f in self.formats if f.read is not None and f.fits(path)]
         with numbers_of(str(path)):
-            found = next((f for f in fitting if f.sniff(source)), None)
+            found = next((f for f in fitting if f.sniff is None or f.sniff(source)), None)
         if found is not None:
             return found, source
         known = f"of {', '.join(dict.fromkeys(f.name for f in fitting))}" if fitting else f"({self.listing()})"
@@ -149,6 +143,6 @@ def _looks_like(path: Path) -> str:
         source = Source(path, table.kind, table.parse)
         with contextlib.suppress(InputError), numbers_of(str(path)):
             for one in table.formats:
-                if one.fits(path) and one.sniff is not _by_name_alone and one.sniff(source):
+                if one.fits(path) and one.sniff is not None and one.sniff(source):
                     return f", it looks like {table.kind} of {one.name}"
     return ""

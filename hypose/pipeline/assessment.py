@@ -136,33 +136,27 @@ class Assessment:
             return f"Good but for {in_words(self.frames)}: {because}"
         return "Good: nothing in the evidence speaks against it."
 
-    def document(self) -> dict[str, Any]:
+    def document(self, motion: Motion | None = None) -> dict[str, Any]:
         """Convert the assessment to JSON values, as in assessment.json.
 
+        motion: the motion that was assessed, to add the frames of low confidence of each joint.
         Returns: table with "assessment" (the word), "because" (sentences), "frames" (pairs: first row, row after the
-            last), "sentence", and "findings" (tables).
+            last), "sentence", and "findings" (tables); with a motion also "low_confidence": for each joint that has
+            such frames, pairs like those of "frames".
         """
-        return {
+        kept = {
             "assessment": self.word,
             "because": list(self.because),
             "frames": [[r.start, r.stop] for r in self.frames],
             "sentence": self.sentence,
             "findings": [f.document() for f in self.findings],
         }
-
-    def with_joints(self, motion: Motion) -> dict[str, Any]:
-        """Convert the assessment to JSON values, with the frames of low confidence of each joint.
-
-        motion: the motion that was assessed.
-        Returns: table of `document` with "low_confidence": for each joint that has such frames, pairs (first row, row
-            after the last).
-        """
-        found = {}
-        if motion.low_confidence_joints is not None:
-            for name, low in zip(motion.skeleton.joint_names, motion.low_confidence_joints.T, strict=True):
-                if low.any():
-                    found[name] = [[r.start, r.stop] for r in runs(low)]
-        return {**self.document(), "low_confidence": found}
+        if motion is None:
+            return kept
+        low = np.zeros((0, 0), np.bool_) if motion.low_confidence_joints is None else motion.low_confidence_joints.T
+        spans = [[[r.start, r.stop] for r in runs(of_joint)] for of_joint in low]
+        names = zip(motion.skeleton.joint_names, spans, strict=False)
+        return kept | {"low_confidence": {name: rows for name, rows in names if rows}}
 
     @staticmethod
     def of_document(kept: Mapping[str, Any]) -> Assessment:
@@ -189,16 +183,16 @@ def not_shown(joints: Sequence[str]) -> Finding:
     return Finding("not shown", (), text, severity=INFO)
 
 
-def other_people_note(more: int, where: str, command: str) -> Finding:
+def other_people_note(more: int, where: str, command: str) -> tuple[Finding, ...]:
     """Make the finding that counts the other people in the masks or key points.
 
-    more: number of other people.
+    more: number of other people; 0: there is no finding.
     where: evidence that shows them, "masks" or "key points".
     command: option of the command that tracks all people.
     """
     who = "another person is" if more == 1 else f"{more} other people are"
     text = f"Note: {who} in the {where} and left out; {command} tracks everybody"
-    return Finding("other people", (), text, size=more, severity=INFO)
+    return (Finding("other people", (), text, size=more, severity=INFO),) if more else ()
 
 
 def assess(

@@ -12,23 +12,23 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_angles import is_length, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.keypoints import common_name
-from hypose.geometry import Array, procrustes, transform
+from hypose.fusion.register import robust_motion
+from hypose.geometry import Array, transform
 from hypose.io.files import text_lines
 from hypose.io.motions.export import MOTION_FILES
 from hypose.io.motions.marker_files import Markers
-from hypose.io.motions.results import load_archive
+from hypose.io.motions.results import Archive
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_options import CompareOptions
 from hypose.synthetic.metrics import CARRIERS, EVALUATED_JOINTS, coverage, joint_errors, population_offsets
@@ -41,8 +41,8 @@ from hypose.synthetic.metrics import CARRIERS, EVALUATED_JOINTS, coverage, joint
 # its centre (r_knee_study and r_mknee_study of OpenCap's and Pose2Sim's augmenter; others by `joint=marker+marker`).
 
 
+_SIDES = ("left", "right")
 _PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-_CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee", "a": "ankle"}
 
 
 @dataclass(frozen=True)
@@ -118,19 +118,18 @@ def _of_subject(path: Path, names: tuple[str, ...], subject: str | None) -> tupl
 
 def _joints_of(path: Path, names: tuple[str, ...], points: Array, given: Mapping[str, Sequence[str]]) -> dict:
     column = {n: i for i, n in enumerate(names)}
+    lower = {n.lower().replace("r.", "r_").replace("l.", "l_"): n for n in names}
+    # names of the augmenter: outer and inner side
+    sides = {f"{s}_{p}": [f"{s[0]}_{p}_study", f"{s[0]}_m{p}_study"] for s in _SIDES for p in ("knee", "ankle")}
+    pairs = {joint: [lower[m] for m in pair] for joint, pair in sides.items() if lower.keys() >= {*pair}}
     out: dict[str, Array] = {}
-    for joint, markers in given.items():
+    for joint, markers in (pairs | dict(given)).items():
         markers = [m if m in column else m.split(":")[-1] for m in markers]
         missing = [m for m in markers if m not in column]
         if missing:
             shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
             raise InputError(f"{path} has no marker {missing[0]!r}; it has {shown}.")
         out[joint] = np.mean([points[:, column[m]] for m in markers], 0)
-    for side, letter in (("left", "l"), ("right", "r")):
-        for part in ("knee", "ankle"):  # names of the augmenter: outer and inner side
-            pair = [_lower(column, f"{letter}_{m}{part}_study") for m in ("", "m")]
-            if f"{side}_{part}" not in out and None not in pair:
-                out[f"{side}_{part}"] = 0.5 * (points[:, pair[0]] + points[:, pair[1]])
     for name, i in column.items():
         joint = _joint_name(name)
         if joint is not None and joint not in out:
@@ -144,18 +143,15 @@ def _joints_of(path: Path, names: tuple[str, ...], points: Array, given: Mapping
     return out
 
 
-def _lower(column: Mapping[str, int], name: str) -> int | None:
-    return next((i for n, i in column.items() if n.lower().replace("r.", "r_").replace("l.", "l_") == name), None)
-
-
 def _joint_name(name: str) -> str | None:
     """Return the joint that a point is named after; None for other markers."""
     bare = name.split(":")[-1].strip()
     centre = re.fullmatch(r"([LR])([SEWHKA])JC(_study)?", bare, re.IGNORECASE)
     if centre:
-        return f"{'left' if centre[1].lower() == 'l' else 'right'}_{_CENTRES[centre[2].lower()]}"
+        parts = {part[0]: part for part in _PARTS}
+        return f"{'left' if centre[1].lower() == 'l' else 'right'}_{parts[centre[2].lower()]}"
     common = common_name(bare)
-    if common in {f"{side}_{part}" for side in ("left", "right") for part in _PARTS}:
+    if common in {f"{side}_{part}" for side in _SIDES for part in _PARTS}:
         return common
     return {"mid_hip": "pelvis", "neck": "neck", "head": "head"}.get(common if bare.lower() != "head" else "head")
 
@@ -314,15 +310,7 @@ def _rigid(source: Array, target: Array) -> Array:
     both = np.asarray(np.isfinite(source).all(-1) & np.isfinite(target).all(-1))
     if both.sum() < 4:
         return np.eye(4)
-    a, b = source[both], target[both]
-    weights = np.ones(len(a))
-    found = np.eye(4)
-    for _ in range(8):
-        found, _ = procrustes(a, b, weights)
-        distance = np.linalg.norm(transform(found, a) - b, axis=1)
-        scale = 2 * max(1e-6, float(np.median(distance)))
-        weights = np.minimum(1, scale / np.maximum(distance, 1e-12))
-    return found
+    return robust_motion(source[both], target[both], np.ones(both.sum()), 8)[0]
 
 
 def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str]:
@@ -430,7 +418,7 @@ def _without_sentinels(other: OtherMotion, notes: list[str]) -> OtherMotion:
 
 def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotion:
     """Rescale the other's points where its bones show that they are in a wrong unit."""
-    bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _BONES]
+    bones = [(f"{side}_{a}", f"{side}_{b}") for side in _SIDES for a, b in _BONES]
     ratios = []
     with _never_seen():
         for a, b in bones:
@@ -538,7 +526,7 @@ def _spread(values: Array) -> tuple[float, float, float]:
 
 _MAX_BYTES = 1 << 30
 """Largest unpacked size of a truth.npz."""
-NOTE = (
+_TRUTH_NOTE = (
     "The truth is another body (its shape does not come from the tracker's), so joint definitions are aligned once by "
     "fixed offsets, measured between the mean bodies and not on this recording."
 )
@@ -548,35 +536,20 @@ NOTE = (
 class Truth:
     """Comparison of a tracked motion with the true motion of a synthetic recording.
 
+    names: (K) names of the compared joints.
+    note: how the distances are measured.
     distances: (T, K) distances between true and tracked joints, m.
-    names: (K) names of the joints.
-    pelvis: (T, 3) true path of the pelvis, m.
-    note: how the distances were measured.
-    joints: (T, J, 3) true joints, m, world; None: only the pelvis is known.
-    parents: (J) parents of these joints.
+    joints: (T, J, 3) true joints of the human body, m, world; the first is the pelvis.
     """
 
+    names, note = EVALUATED_JOINTS, _TRUTH_NOTE
     distances: Array
-    names: tuple[str, ...]
-    pelvis: Array
-    note: str = ""
-    joints: Array | None = field(default=None, kw_only=True)
-    parents: Sequence[int] = field(default=(), kw_only=True)
+    joints: Array
 
     @property
     def mean_mm(self) -> float:
         """Mean distance over frames and joints, mm."""
         return float(np.nanmean(self.distances)) * 1000
-
-
-def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], Truth]:
-    """Make a function of a motion and its body that compares the motion with the true motion of a synthetic
-    recording.
-
-    path: file truth.npz.
-    first: frame of the recording that is row 0 of the motion.
-    """
-    return lambda motion, body: compare_with_truth(path, motion, first)
 
 
 def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Truth:
@@ -587,18 +560,14 @@ def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Trut
 
     Raises: InputError where the file is no truth of hypose, or the motion has no poses.
     """
-    path = Path(path)
-    step = "make the recording again"
-    data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)
-    try:
-        joints, stature = np.asarray(data["joints"], dtype=np.float64), float(data["stature"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is no truth of hypose ({error}); {step}.") from None
+    kind = Archive("truth", "make the recording again", packed=_MAX_BYTES)
+    joints, stature = kind.load(
+        Path(path), lambda a: (a["joints"].astype(np.float64), float(a["stature"])), ("joints", "stature")
+    )
     if motion.poses is None:
         raise InputError("The motion holds joint positions only and cannot be compared; track again.")
     joints = joints[first : first + len(motion)]
     found = motion.joints[: len(joints)]
     rotations, _ = motion.skeleton.forward(motion.poses[: len(joints)])
     errors = joint_errors(found, joints, population_offsets(human()) * stature, rotations)
-    parents = human().skeleton.parents.tolist()
-    return Truth(errors, EVALUATED_JOINTS, joints[:, 0], NOTE, joints=joints, parents=parents)
+    return Truth(errors, joints)

@@ -20,13 +20,12 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.keypoints import openpose_document
 from hypose.evidence.pose_network import Crop, PoseDetector, owners_of_pixels
 from hypose.geometry import Array
-from hypose.io.file_names import folder_for
-from hypose.io.files import read_json, write_bytes, write_text
+from hypose.io.files import folder_for, read_json, write_bytes, write_text
 from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.object_masks import SIDECAR
 from hypose.io.recordings.recording import Recording, ViewSettings
-from hypose.io.recordings.view_source import places_in_stored
+from hypose.io.recordings.recording_views import places_in_stored
 from hypose.io.videos.video import open_video
 
 

@@ -315,12 +315,12 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     if evidence != "silhouettes":
         return ()
     found, beyond = list[Finding](), beyond_usual(audit, evidence)
-    if beyond > SETTINGS.contradiction_look_apart_m:
+    if beyond > SETTINGS.contradiction_apart_m[0]:
         text = (
             f"the views contradict each other by {1e3 * beyond:.0f} mm from beginning to end, so the calibration, the "
             "synchronisation or the body is wrong: run hypose check"
         )
-        severity = INVALID if beyond > SETTINGS.contradiction_wrong_apart_m else REVIEW
+        severity = INVALID if beyond > SETTINGS.contradiction_apart_m[1] else REVIEW
         found.append(Finding("views disagree", (), text, size=beyond, severity=severity))
     if (more := more_than_body(audit, n_views)) > SETTINGS.contradiction_look_more_m2:
         text = (

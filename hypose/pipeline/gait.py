@@ -301,7 +301,7 @@ def strides(events: Sequence[GaitEvent], motion: Motion, side: str) -> list[tupl
     out = []
     for a, b in zip(strikes, strikes[1:], strict=False):
         first, stop = np.searchsorted(motion.times, a), np.searchsorted(motion.times, b, "right")
-        if SETTINGS.gait_shortest <= b - a <= SETTINGS.gait_longest and first < stop and known[first:stop].all():
+        if SETTINGS.gait_stride_s[0] <= b - a <= SETTINGS.gait_stride_s[1] and first < stop and known[first:stop].all():
             out.append((a, b))
     return out
 

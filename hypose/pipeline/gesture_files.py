@@ -27,8 +27,8 @@ from hypose.gestures import model as model_arrays
 from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Example
-from hypose.io.files import RecordingFolder, read_bytes, read_json, text_lines, write_text
-from hypose.io.motions.results import load_archive, to_json, write_archive
+from hypose.io.files import RecordingFolder, numbers_of, read_bytes, read_json, text_lines, write_text
+from hypose.io.motions.results import Archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.settings import SETTINGS
@@ -48,14 +48,8 @@ def load_model(path: str | Path) -> GestureModel:
 
     Raises: InputError names the cause.
     """
-    path = Path(path)
-    step = "give a model that `hypose gesture train` wrote"
-    arrays = load_archive(path, "gesture model", step)
-    try:
-        return model_arrays.from_arrays(arrays)
-    except (ValueError, InputError) as error:
-        reason = str(error).rstrip(".")
-        raise InputError(f"{path} is not a gesture model of hypose, or is damaged: {reason}; {step}.") from None
+    kind = Archive("gesture model", "give a model that `hypose gesture train` wrote")
+    return kind.load(Path(path), model_arrays.from_arrays)
 
 
 def content_of(folder: Path) -> str:
@@ -75,7 +69,6 @@ def content_of(folder: Path) -> str:
 class RecordedFrame:
     """One depth picture of a gesture session, as a row of frames.csv.
 
-    index: number of the picture.
     time: s.
     file: its file.
     phase: phase of the session.
@@ -84,7 +77,6 @@ class RecordedFrame:
     x, y: pixel at which the gesture is done; negative where not known.
     """
 
-    index: int
     time: float
     file: Path
     phase: str
@@ -161,64 +153,39 @@ def read_recording(folder: str | Path) -> GestureRecording:
     Raises: InputError names the file and line that cannot be used.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
     path = folder / "session.json"
     value = read_json(path, "a session.json")
-    if not isinstance(value, dict) or value.get("format") != _FORMAT or value.get("version") != 1:
-        raise InputError(f'{path} is no gesture session; it must say "format": "{_FORMAT}", "version": 1.')
-    gestures, lens, size = value.get("gestures"), value.get("lens"), value.get("size")
-    if (
-        not isinstance(gestures, list)
-        or not len(gestures) <= SETTINGS.gesture_max_gestures
-        or not all(isinstance(g, str) for g in gestures)
-    ):
-        raise InputError(f"{path}: gestures must be a list of at most {SETTINGS.gesture_max_gestures} names.")
-    if not isinstance(lens, list) or len(lens) != 4 or not all(isinstance(v, int | float) for v in lens):
-        raise InputError(f"{path}: lens must be fx, fy, cx, cy in pixels.")
-    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(v, int) and v > 0 for v in size):
-        raise InputError(f"{path}: size must be width and height in pixels.")
-    frames = _read_frames(folder, len(gestures))
-    return GestureRecording(
-        folder,
-        tuple(gestures),
-        DepthLens(*(float(v) for v in lens)),
-        (size[0], size[1]),
-        tuple(frames),
-        _undone(folder / "actions.csv"),
-    )
+    with numbers_of(str(path)):
+        if (value["format"], value["version"]) != (_FORMAT, 1):
+            raise InputError(f'{path} is no gesture session; it must say "format": "{_FORMAT}", "version": 1.')
+        gestures, lens = tuple(map(str, value["gestures"])), DepthLens(*map(float, value["lens"]))
+        width, height = map(int, value["size"])
+    frames, undone = _read_frames(folder, len(gestures)), _undone(folder / "actions.csv")
+    return GestureRecording(folder, gestures, lens, (width, height), tuple(frames), undone)
 
 
 def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
     path = folder / "frames.csv"
-    lines = text_lines(path, "a frames.csv")
-    if not lines or lines[0].split(",") != _FRAMES:
+    first, *lines = text_lines(path, "a frames.csv")
+    if first.split(",") != _FRAMES:
         raise InputError(f"{path}: the first line must be {','.join(_FRAMES)}.")
     out: list[RecordedFrame] = []
-    if len(lines) > SETTINGS.gesture_max_frames:
-        raise InputError(
-            f"{path} has {len(lines)} frames, at most {SETTINGS.gesture_max_frames} are read; cut it into pieces."
-        )
-    for number, line in enumerate(lines[1:], 2):
-        if not line.strip():
-            continue
-        cells = line.split(",")
+    for number, line in enumerate(lines, 2):
         try:
-            frame, time, file, phase, segment, gesture, x, y = cells
-            row = RecordedFrame(
-                int(frame), float(time), folder / file, phase, int(segment), int(gesture), float(x), float(y)
-            )
+            _, time, file, phase, segment, gesture, x, y = line.split(",")
+            row = RecordedFrame(float(time), folder / file, phase, int(segment), int(gesture), float(x), float(y))
+            outside = Path(file).is_absolute() or ".." in Path(file).parts
+            if outside or phase not in SESSION_PHASES or not 0 <= row.gesture <= gestures:
+                raise ValueError
+            if not all(map(math.isfinite, (row.time, row.x, row.y))):
+                raise ValueError
         except ValueError:
-            if number == len(lines):  # a line that was not completely written
+            if number == len(lines) + 1:  # a line that was not completely written
                 break
-            raise InputError(f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}.") from None
-        finite = all(math.isfinite(v) for v in (row.time, row.x, row.y))
-        outside = Path(file).is_absolute() or ".." in Path(file).parts
-        if outside or phase not in SESSION_PHASES or not 0 <= row.gesture <= gestures or not finite:
             raise InputError(
-                f"{path}, line {number}: {line!r} is no frame; files lie in the folder, phases are "
-                f"{', '.join(SESSION_PHASES)}, gestures 0 to {gestures}."
-            )
+                f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}, files lie in the "
+                f"folder, phases are {', '.join(SESSION_PHASES)}, gestures 0 to {gestures}."
+            ) from None
         out.append(row)
     if not out:
         raise InputError(f"{path} has no frames; record some.")
@@ -226,14 +193,8 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
 
 
 def _undone(path: Path) -> frozenset[int]:
-    if not path.exists():
-        return frozenset()
-    out = set()
-    for line in text_lines(path, "an actions.csv")[1:]:
-        cells = line.split(",")
-        if len(cells) == 3 and cells[1] == "undo" and cells[2].isdigit():
-            out.add(int(cells[2]))
-    return frozenset(out)
+    rows = [line.split(",") for line in text_lines(path, "an actions.csv")] if path.exists() else []
+    return frozenset(int(row[2]) for row in rows if len(row) == 3 and row[1] == "undo" and row[2].isdigit())
 
 
 class SessionWriter:

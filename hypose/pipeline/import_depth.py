@@ -13,12 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import (
     CoarseAlignment,
-    in_camera,
-    refine_registration,
     rough_registration,
 )
 from hypose.cameras.camera import Camera, CameraRig
@@ -28,17 +25,17 @@ from hypose.evidence.depth_evidence import Depth, camera_on_floor
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
-from hypose.io.file_names import file_name, text_of
+from hypose.io.files import file_name, text_of
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
+from hypose.pipeline.moved_sensors import solve_places
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList
-from hypose.pipeline.subject import AnthropometryOptions, TrackedSubject, different_poses, estimate_subject
 from hypose.pipeline.track import track_source
 from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
@@ -92,11 +89,9 @@ def import_depth(
 
 def _all_different(given: Sequence[str | Path]) -> None:
     """Raise InputError where a recording is given twice; two cameras would be one."""
-    seen = set[Path]()
-    for one in given:
-        if (real := Path(one).resolve()) in seen:
-            raise InputError(f"{one} is given twice; give the recording of every camera once.")
-        seen.add(real)
+    real = [Path(one).resolve() for one in given]
+    if twice := [one for one, path in zip(given, real, strict=True) if real.count(path) > 1]:
+        raise InputError(f"{twice[0]} is given twice; give the recording of every camera once.")
 
 
 def _imported(
@@ -138,18 +133,13 @@ def _imported(
             f"The cameras have different frame rates ({said} per s); record all at one rate, and give that of folders."
         )
     rate = float(np.round(np.median(rates), 1))
-    for view, camera, seen in zip(views, cameras, times, strict=True):
-        # the nearest map of each instant k / rate, and whether it is near enough
-        after = seen - seen[0]
-        at = np.arange(round(after[-1] * rate) + 1) / rate
-        right = np.minimum(np.searchsorted(after, at), len(after) - 1)
-        left = np.maximum(right - 1, 0)
-        number = np.where(at - after[left] < after[right] - at, left, right)
-        known = np.abs(after[number] - at) <= SETTINGS.placing_near / rate
-        if lost := int((~known).sum()):
-            notes.append(f"{view.name}: {lost} of {len(known)} frames were lost while recording; their maps are empty.")
-        _moved(folder / "read" / view.name, folder / "depth" / view.name, number, known, camera.size)
-    shutil.rmtree(folder / "read")
+    orders = list[NDArray[np.intp]]()
+    for view, seen in zip(views, times, strict=True):
+        order = _nearest(seen, seen[0] + np.arange(round((seen[-1] - seen[0]) * rate) + 1) / rate, rate)
+        if lost := int((order < 0).sum()):
+            notes.append(f"{view.name}: {lost} of {len(order)} frames were lost while recording; their maps are empty.")
+        orders.append(order)
+    _arrange(folder, views, orders, cameras)
     recording = _recording(folder, CameraRig(tuple(cameras)), views, rate)
     if len(views) > 1:
         clips = []
@@ -175,8 +165,7 @@ def _imported(
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
             raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
         late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
-        for view, skip in zip(views, late, strict=True):
-            _without_first(view, int(skip))
+        _arrange(folder, views, [order[skip:] for order, skip in zip(orders, late, strict=True)], cameras)
         # the lenses are those of the maps as they were written; the clips have smaller ones without distortion
         placed = [replace(c, camera_from_world=f.camera_from_world) for c, f in zip(cameras, found.rig, strict=True)]
         recording = _recording(folder, CameraRig(tuple(placed)), views, rate)
@@ -185,6 +174,7 @@ def _imported(
                 f"{view.name}: brought together by the person; clock {seconds:+.3f} s, {1000 * rough.apart:.0f} mm "
                 "between the two motions at first."
             )
+    shutil.rmtree(folder / "read")
     return write_recording(recording, folder), tuple(notes)
 
 
@@ -216,7 +206,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     except EvidenceError as error:
         raise EvidenceError(f"{source}: {error}") from None
     height = float(se3_inverse(found)[2, 3])
-    if not SETTINGS.placing_lowest_m < height < SETTINGS.placing_highest_m:
+    if not SETTINGS.placing_height_m[0] < height < SETTINGS.placing_height_m[1]:
         raise InputError(
             f"{source}: the camera would hang {height:.2f} m above the floor; if the steps of its values are no "
             "millimetres, say with --millimetres how many one is."
@@ -242,20 +232,35 @@ def _rate(times: Array, source: str | Path) -> float:
     return found
 
 
-def _moved(
-    read: Path, folder: Path, number: NDArray[np.int64], known: NDArray[np.bool_], size: tuple[int, int]
+def _nearest(times: Array, at: Array, rate: float) -> NDArray[np.intp]:
+    """Find the frame that is nearest to each of the instants `at` (N,) s; -1 where none is near enough.
+
+    times: (T,) of the frames, s.
+    rate: Hz.
+    """
+    rows = np.rint(np.interp(at, times, np.arange(len(times)))).astype(np.intp)
+    return np.where(np.abs(times[rows] - at) <= SETTINGS.placing_near / rate, rows, -1)
+
+
+def _arrange(
+    folder: Path, views: Sequence[ViewSettings], orders: Sequence[NDArray[np.intp]], cameras: Sequence[Camera]
 ) -> None:
-    """Move maps to a folder in the order of `number`; write an empty map where `known` is False."""
-    files = list_images(read)
-    folder.mkdir(parents=True, exist_ok=True)
-    for k, n in enumerate(number.tolist()):
-        target = folder / f"{k:06d}.png"
-        if not known[k]:
-            write_depth_png(target, np.zeros((size[1], size[0])))
-        elif n in number[k + 1 : k + 3]:
-            shutil.copyfile(files[n], target)
-        else:
-            os.replace(files[n], target)
+    """Copy the maps that were read of each view to its depth maps, in an order (T,) of their numbers, -1: an empty map.
+
+    Raises: InputError names a view that has no map.
+    """
+    shutil.rmtree(folder / "depth", ignore_errors=True)
+    for view, order, camera in zip(views, orders, cameras, strict=True):
+        if not len(order):
+            raise InputError(f"{view.name} ended before the others began; start all cameras together.")
+        files = list_images(folder / "read" / view.name)
+        view.files["depth"].mkdir(parents=True)
+        for k, n in enumerate(order.tolist()):
+            target = view.files["depth"] / f"{k:06d}.png"
+            if n < 0:
+                write_depth_png(target, np.zeros(camera.size[::-1]))
+            else:
+                shutil.copyfile(files[n], target)
 
 
 def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate: float) -> Recording:
@@ -287,17 +292,6 @@ def _clip(recording: Recording) -> list[Frame]:
     return found[whole[0] : whole[-1] + 1]
 
 
-def _without_first(view: ViewSettings, count: int) -> None:
-    """Remove the first `count` maps of a view, so that all views begin at the same instant."""
-    files = list_images(view.files["depth"])
-    if count >= len(files):
-        raise InputError(f"{view.name} ended before the others began; start all cameras together.")
-    for file in files[:count]:
-        file.unlink()
-    for k, file in enumerate(files[count:]):
-        file.rename(file.with_name(f"{k:06d}.png"))
-
-
 @dataclass(frozen=True)
 class RegisteredSensors:
     """Depth cameras in one common world.
@@ -313,7 +307,11 @@ class RegisteredSensors:
 
 
 def register_depth(
-    clips: Sequence[Sequence[Frame]], frame_rate: float, *, seed: int = 0, progress: StageProgress | None = None
+    clips: Sequence[Sequence[Frame]],
+    frame_rate: float,
+    *,
+    seed: int = 0,
+    progress: StageProgress = lambda stage, done, total: None,
 ) -> RegisteredSensors:
     """Register depth cameras by the motion of one person that each of them saw.
 
@@ -322,26 +320,21 @@ def register_depth(
     frame_rate: Hz.
     progress: called with stage, done, total; raising KeyboardInterrupt in it ends the work.
     Returns: the cameras in the first one's world.
-    Raises: InputError with fewer than two sensors or a clip without depth; CalibrationError where the movements do not
+    Raises: InputError with fewer than two sensors; CalibrationError where the movements do not
         belong together; errors name the sensors.
 
     Each sensor is tracked alone; the motions give a first alignment; then places and poses are solved together.
     """
     if len(clips) < 2:
         raise InputError("Bringing depth cameras together needs at least two; one stands where it stands.")
-    report = progress or (lambda stage, done, total: None)
-    options = TrackOptions(seed=seed)
-    own = [clip[0].depth for clip in clips]
-    if any(d is None for d in own):
-        raise InputError("Every clip must have depth; leave cameras without it out.")
-    alone = [d.rig[0] for d in own if d is not None]
+    options, alone = TrackOptions(seed=seed), [clip[0].the(Depth).rig[0] for clip in clips]
     joints, times = [], [np.array([f.time for f in clip]) for clip in clips]
     ends = np.cumsum([len(clip) for clip in clips]).tolist()
     for k, clip in enumerate(clips):
 
         def tracked_alone(stage: str, done: int, _: int, before: int = ends[k] - len(clip)) -> None:
             if stage == "track":
-                report("each sensor alone", before + done, ends[-1])
+                progress("each sensor alone", before + done, ends[-1])
 
         with _named(alone[k].name):
             found = track_source(FrameList(clip, frame_rate), frame_rate, options, progress=tracked_alone)
@@ -357,21 +350,15 @@ def register_depth(
     )
     paired = _pairs(times, seconds, frame_rate)
     for n in range(SETTINGS.placing_rounds):
-        report("together", n, SETTINGS.placing_rounds)
+        progress("together", n, SETTINGS.placing_rounds)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
-        how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
-        estimate = estimate_subject(lambda i, f=frames: f[i], len(frames), frame_rate, human(), how)
-        subject = TrackedSubject(estimate.body, None, estimate.start, ())
-        source = FrameList(frames, frame_rate)
-        tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
-        poses = tracked.poses
-        assert poses is not None
-        chosen = different_poses(estimate.body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
-        depths = [[clip[paired[t][k]].the(Depth) for t in chosen] for k, clip in enumerate(clips)]
-        seen = [[in_camera(d.surface, d.rig[0].camera_from_world) for d in own] for own in depths]
-        cameras = refine_registration(estimate.body, poses[chosen], seen, cameras)
-    report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
+        found = track_source(FrameList(frames, frame_rate), frame_rate, options, find_places=False)
+        motion = _whole(found)
+        assert motion.poses is not None
+        about = (found.body, motion.poses, 1 - motion.cost, cameras, SETTINGS.placing_frames)
+        cameras = solve_places(frames.__getitem__, *about)
+    progress("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
     return RegisteredSensors(rig, seconds, tuple(rough))
 
@@ -396,30 +383,19 @@ def _pairs(times: Sequence[Array], seconds: Array, frame_rate: float) -> list[li
     """Find, for each frame of the first sensor, the frames of all sensors that are nearest in time; instants that one
     of them lacks are left out.
     """
-    out = []
-    for k, t in enumerate(times[0]):
-        row = [k]
-        for own, shift in zip(times[1:], seconds[1:], strict=True):
-            at = int(np.abs(own + shift - t).argmin())
-            if abs(own[at] + shift - t) <= 0.6 / frame_rate:
-                row.append(at)
-        if len(row) == len(times):
-            out.append(row)
-    if len(out) < 10:
+    rows = np.stack([_nearest(own + shift, times[0], frame_rate) for own, shift in zip(times, seconds, strict=True)], 1)
+    rows = rows[(rows >= 0).all(1)]
+    if len(rows) < 10:
         raise InputError("The depth cameras share fewer than ten instants; start them together, or record for longer.")
-    return out
+    return rows.tolist()
 
 
 def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraRig) -> Frame:
     """Combine one frame of each sensor into one frame of all."""
     own = [clip[k].the(Depth) for clip, k in zip(clips, row, strict=True)]
-    sizes = rig.sizes
-    h, w = int(sizes[:, 1].max()), int(sizes[:, 0].max())
-    maps, masks = np.zeros((len(rig), h, w), np.float32), []
-    for c, depth in enumerate(own):
-        width, height = sizes[c]
-        maps[c, :height, :width] = depth.maps[0, :height, :width]
-        masks.append(depth.person[0, :height, :width])
-    silhouettes = make_silhouettes(masks, rig)
+    silhouettes = make_silhouettes([d.person[0, :h, :w] for d, (w, h) in zip(own, rig.sizes, strict=True)], rig)
+    maps = np.zeros(silhouettes.masks.shape, np.float32)
+    for here, depth, (w, h) in zip(maps, own, rig.sizes, strict=True):
+        here[:h, :w] = depth.maps[0, :h, :w]
     first = clips[0][row[0]]
     return Frame(first.time, first.index, silhouettes, depth=Depth(maps, silhouettes.masks, rig, silhouettes.usable))

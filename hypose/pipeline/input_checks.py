@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.calibration.diagnose_masks import MaskViews, focal_findings, gross_silhouettes
 from hypose.calibration.diagnose_person import height_findings, person_findings, up_by_cameras
@@ -24,62 +23,57 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.moved_sensors import moved_sensors
-from hypose.pipeline.passes import ClipState, Pass, find_people, session_of, track_clip, track_rest
+from hypose.pipeline.passes import ClipState, Pass, find_people, solve_keypoints, track_clip
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameList, FrameSource, PlacedSource
+from hypose.pipeline.sources import FrameList, FrameSource, RecordedFrames, placed_source
 from hypose.pipeline.subject import measured_height
 
 
 def check_inputs(
-    source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0
+    source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0, several: bool = False
 ) -> tuple[Finding, ...]:
     """Check the calibration and the key points of a source for gross faults; nothing is checked with one camera.
 
     evidence: evidence that will be tracked from.
     height: height of the person, m, where known.
     frame_rate: Hz.
+    several: there are several people: only depth maps are checked, since the other checks are of one person.
     """
-    rows, frames = _rows(len(source)), _some(source)
-    doubted: Sequence[Keypoints] | None = getattr(
-        source, "doubted", None
-    )  # key points that were left out because they did not fit
-    points = pieces_of(frames, Keypoints)
-    if doubted is not None:
-        points = [doubted[i] for i in rows.tolist() if i < len(doubted)]
+    if several and not pieces_of(_some(source, 1), Depth):  # frames spread over videos take long to read
+        return ()
+    frames, limits = _some(source), Limits()
+    by_depth = depth_findings(pieces_of(frames, Depth))
+    if several:
+        return by_depth
+    points, held = pieces_of(frames, Keypoints), list[Keypoints | None]()
+    if isinstance(source, RecordedFrames):  # also those that were left out because they did not fit
+        held = [*source.unchosen]
+        points = [source.unchosen[i] for i in _rows(len(source)) if held]
+    elif isinstance(source, FrameList):
+        held = source.keypoints
     shown = pieces_of(frames, Silhouettes) if evidence != "keypoints" else []
     masks = [s for s in shown if s.ignored is None]  # parts of a person do not show where cameras stand
-    limits = Limits()
-    by_depth = depth_findings(pieces_of(frames, Depth))
     found: list[Finding] = []
     if evidence != "silhouettes" and points and len(points[0].rig) > 1:
         found += _by_points(points, height, limits)
-        held = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else doubted
-        if held is not None and not any(f.fault for f in found):
+        if held and not any(f.fault for f in found):
             found += _in_step(held, frame_rate, limits)
     elif masks and len(masks[0].rig) > 1 and not any(f.kind == "holes" for f in by_depth):  # masks have the same holes
         found += _by_masks(masks, frames, limits)
     return (*found, *by_depth)
 
 
-def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
-    """Check the depth maps alone, also of frames with several people."""
-    with contextlib.suppress(HyposeError):
-        if not source.frame(0).of(Depth):  # frames spread over videos take long to read
-            return ()
-    return depth_findings(pieces_of(_some(source), Depth))
-
-
-def _some(source: FrameSource) -> list[Frame]:
-    """Read SETTINGS.look_frames frames spread over a source."""
+def _some(source: FrameSource, most: int = SETTINGS.look_frames) -> list[Frame]:
+    """Read some frames spread over a source."""
     frames = list[Frame]()
-    for i in _rows(len(source)).tolist():
+    for i in _rows(len(source), most):
         with contextlib.suppress(HyposeError):  # an unreadable frame is reported when it is tracked
             frames.append(source.frame(i))
     return frames
 
 
-def _rows(total: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, total - 1, min(total, SETTINGS.look_frames)).round().astype(np.int64))
+def _rows(total: int, most: int = SETTINGS.look_frames) -> list[int]:
+    return np.unique(np.linspace(0, total - 1, min(total, most)).round().astype(int)).tolist()
 
 
 def places_refuted(found: Sequence[Finding]) -> bool:
@@ -145,41 +139,33 @@ def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Li
 
 
 def check_evidence(clip: ClipState) -> ClipState:
-    """Check masks, key points and cameras against each other before tracking, and add the findings.
-
-    Where several people are tracked, only depth maps are checked, since the other checks are of one person.
-    """
-    options = clip.options
+    """Check masks, key points and cameras against each other before tracking, and add the findings."""
+    options, several = clip.options, clip.finder is not None
     clip.progress("look", 0, 1)
-    others = ()
-    if clip.finder is not None:
-        found = check_depth_inputs(clip.source)
-    else:
-        found = check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate)
+    found = check_inputs(clip.source, options.looks_at, options.height, clip.frame_rate, several)
     # wrong cameras can make one person look like two
-    more = 0 if clip.finder or places_refuted(found) else getattr(clip.source, "others", 0)
-    if more:
-        others = (other_people_note(more, "key points", "--people all"),)
+    more = clip.source.others if isinstance(clip.source, RecordedFrames) and not several else 0
+    note = () if places_refuted(found) else other_people_note(more, "key points", "--people all")
     clip.progress("look", 1, 1)
-    return clip.with_findings(*found, *others)
+    return clip.with_findings(*found, *note)
 
 
 def place_sensors(clip: ClipState) -> ClipState:
     """Correct the places of depth cameras that stand elsewhere than the source says, and track all frames again."""
     done = clip.estimates
-    if not done or not clip.complete or clip.finder is not None:
+    if not clip.complete or clip.finder is not None:
         return clip
     poses, costs = np.stack([e.pose for e in done]), np.array([e.cost for e in done])
     places, moved = moved_sensors(clip.source, clip.who.body, poses, 1 - costs, clip.frame_rate)
     if not places:
         return clip
-    clip = replace(clip, source=PlacedSource(clip.source, places), places=places, findings=(*clip.findings, *moved))
+    clip = replace(clip, source=placed_source(clip.source, places), places=places, findings=(*clip.findings, *moved))
     subject = clip.who
     if places[0].since == 0 and not clip.given:  # the body was fitted with wrong camera places
         subject = clip.find(clip)
         clip = replace(clip, notes=subject.notes)
     clip = replace(clip, people=(clip.at_start(subject),))
-    return track_rest(clip, session_of(clip, checkpoint=False))
+    return track_clip(clip, checkpoint=False)
 
 
 def check_height(clip: ClipState) -> ClipState:
@@ -187,7 +173,7 @@ def check_height(clip: ClipState) -> ClipState:
     depth show; add the findings.
     """
     o, estimates = clip.options, clip.estimates
-    if clip.given or not estimates or clip.who.keypoints is not None or clip.finder is not None:
+    if clip.given or clip.who.keypoints is not None or clip.finder is not None:
         return clip
     body = clip.who.body
     if o.height is None and clip.body is None:
@@ -198,9 +184,9 @@ def check_height(clip: ClipState) -> ClipState:
     poses, iou = np.stack([e.pose for e in estimates]), 1 - np.array([e.cost for e in estimates])
     reported = measured_height(clip.source.frame, body, poses, iou)
     off = 0.0 if reported is None else abs(reported / asked - 1)
-    if reported is None or off <= SETTINGS.subject_height_review:
+    if reported is None or off <= SETTINGS.subject_height_off[0]:
         return clip
-    severity = INVALID if off > SETTINGS.subject_height_wrong else REVIEW
+    severity = INVALID if off > SETTINGS.subject_height_off[1] else REVIEW
     text = (
         f"the person is {reported:.2f} m tall by what the cameras see, not {asked:.2f} m as given: leave the height "
         "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
@@ -210,3 +196,5 @@ def check_height(clip: ClipState) -> ClipState:
 
 CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, check_height)
 """Passes of one or more people together, with the checks of a recording's cameras."""
+CHECKED_KEYPOINTS: tuple[Pass, ...] = (check_evidence, find_people, solve_keypoints)
+"""The same where the key points of all frames are solved together; then the passes `SOLVED_TOGETHER` run."""

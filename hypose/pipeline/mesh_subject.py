@@ -36,7 +36,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import DepthTerm, PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, rotation_between, so3_exp
-from hypose.io.file_names import text_of
+from hypose.io.files import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
 from hypose.pipeline.settings import SETTINGS
@@ -160,7 +160,7 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
     for name in KNOWN_POSES:
         v = template.skin(known_pose(template, name))
         n = vertex_normals(v, template.coarse.faces)
-        models[name] = (_boxed(v)[0], n)
+        models[name] = (_boxed(v), n)
     out = []
     for label in SCAN.up:
         axis = np.eye(3)["xyz".index(label[1])] * (-1 if label[0] == "-" else 1)
@@ -170,7 +170,7 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
         widest = np.arctan2(direction[1, 1], direction[0, 1])
         for quarter in range(SCAN.turns):
             turn = so3_exp(np.array([0, 0, -widest + quarter * np.pi / 2])) @ upright
-            boxed, _ = _boxed(points @ turn.T)
+            boxed = _boxed(points @ turn.T)
             facing = normals @ turn.T
             for name, (v, n) in models.items():
                 # front and back differ by little else than normals
@@ -180,11 +180,10 @@ def find_stances(surface: ScanSamples, template: Body) -> list[ScanPose]:
     return sorted(out, key=lambda s: s.score * SCAN.up[s.up])
 
 
-def _boxed(points: Array) -> tuple[Array, float]:
-    """Scale points to height 1, with the feet at z = 0, centred over the origin; return the old height too."""
+def _boxed(points: Array) -> Array:
+    """Scale points to height 1, with the feet at z = 0, centred over the origin."""
     low, high = points.min(0), points.max(0)
-    height = float(high[2] - low[2])
-    return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
+    return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(high[2] - low[2], 1e-12)
 
 
 def fit_template(surface: ScanSamples, template: Body, stances: list[ScanPose]) -> tuple[ScanFit, ScanPose]:

@@ -7,15 +7,15 @@ its place; the others turn about the vertical and move along the floor, as in th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
+from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
@@ -43,14 +43,15 @@ def moved_sensors(
     if count < least or all(depth.usable.sum() < 2 for depth in depths):
         return (), ()
     depth = depths[0]
-    reported = _cameras(depth)
+    reported = np.stack([c.camera_from_world for c in depth.rig])
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:
-        known = np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start
+        known = (np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start).tolist()
         if len(known) < least:
             return reported
-        chosen = known[different_poses(body, poses[known], iou[known], count)]
-        return _refined(source, body, poses[chosen], chosen, reported, iterations)
+        return solve_places(
+            lambda k: source.frame(known[k]), body, poses[known], iou[known], reported, count, iterations
+        )
 
     third = max(count // 3, least)
     ends = range(third), range(count - third, count)
@@ -84,10 +85,6 @@ def moved_sensors(
     return tuple(found), tuple(said)
 
 
-def _cameras(depth: Depth) -> Array:
-    return np.stack([c.camera_from_world for c in depth.rig])
-
-
 def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
     """Measure by how much cameras are off, and keep those that are off by more than a share of the limits.
 
@@ -102,28 +99,36 @@ def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict
     }
 
 
-def _refined(
-    source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
+def solve_places(
+    frame_at: Callable[[int], Frame],
+    body: Body,
+    poses: Array,
+    iou: Array,
+    reported: Array,
+    count: int,
+    iterations: int = 12,
 ) -> Array:
-    """Solve the places (C, 4, 4) of the cameras from some frames and the poses (F, D) in them."""
-    depths = [source.frame(int(t)).of(Depth) for t in frames]
-    views = np.flatnonzero(np.any([np.zeros(len(reported), np.bool_), *(d.usable for own in depths for d in own)], 0))
+    """Solve the places (C, 4, 4) of depth cameras from the poses of a body that all of them see.
+
+    frame_at: gives the frame of a pose by its row.
+    poses, iou: (T, D) and (T,) overlap of each pose with the evidence.
+    reported: (C, 4, 4) places in which the frames have the cameras.
+    count: number of different poses that are used.
+    """
+    chosen = different_poses(body, poses, iou, count)
+    depths = [frame_at(k).the(Depth) for k in chosen]
+    views = np.flatnonzero(np.any([own.usable for own in depths], 0))
     seen = [[_surface(own, int(c), reported[c]) for own in depths] for c in views]
     out = reported.copy()
-    out[views] = refine_registration(body, poses, seen, reported[views], iterations)
+    out[views] = refine_registration(body, poses[chosen], seen, reported[views], iterations)
     return out
 
 
-def _surface(depths: Sequence[Depth], view: int, camera_from_world: Array) -> SurfacePoints:
-    """Select the points that one camera of a frame shows, and turn them into the camera's own frame.
-
-    depths: depth maps of the frame, one or none.
-    """
-    none = np.zeros((0, 3))
-    alone = SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
-    for s in (depth.surface for depth in depths):
-        own = slice(int(s.first[view]), int(s.first[view + 1]))
-        alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
+def _surface(depth: Depth, view: int, camera_from_world: Array) -> SurfacePoints:
+    """Select the points that one camera of a frame shows, and turn them into the camera's own frame."""
+    s = depth.surface
+    own = slice(int(s.first[view]), int(s.first[view + 1]))
+    alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
     return in_camera(alone, camera_from_world)
 
 
@@ -132,7 +137,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
     gain = np.zeros(len(poses))
     for t, pose in enumerate(poses):
         frame = source.frame(t)
-        if all(depth.usable.sum() < 2 for depth in frame.of(Depth)):
+        if frame.the(Depth).usable.sum() < 2:
             continue
         costs = [
             refine(body, pose[None], prepare(placed(frame, places), body, pose), _LONG_SOLVE)[0].cost

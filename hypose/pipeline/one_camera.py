@@ -33,11 +33,11 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array, runs
 from hypose.io.files import read_json
-from hypose.io.videos.video import open_video
+from hypose.io.videos.video import frame_size
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.passes import AFTER_TRACKING, ClipState, Pass, judge_joints
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameSource, PictureFrames, RecordedFrames
+from hypose.pipeline.sources import PictureFrames, RecordedFrames
 from hypose.pipeline.subject import TrackedSubject
 from hypose.tracking.error_model import probability_by_spread
 from hypose.tracking.frame_evidence import MIN_CONFIDENCE, keypoint_model
@@ -101,8 +101,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
             f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
             f"--frames {document['frame']}: or click in frame {first}."
         )
-    with open_video(source_of(recording)) as reader:
-        size = reader.size
+    size = picture_size(recording)
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
     if len(joints) < LEAST_CLICKS:
         raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_CLICKS} are needed to start.")
@@ -139,10 +138,8 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
     Returns: (u, v) px by joint name.
     """
     view, camera = recording.views[0], recording.rig[0]
-    with open_video(source_of(recording)) as reader:
-        stored = np.array(reader.size, dtype=np.float64)
     pixels = np.array(list(clicks.values()))
-    calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
+    calibrated = (pixels + 0.5) * np.array(camera.size) / picture_size(recording) - 0.5 + np.asarray(view.image_shift)
     shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
     return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
 
@@ -152,11 +149,11 @@ def extent(pixels: Array) -> float:
     return float(np.ptp(pixels, axis=0).max())
 
 
-def source_of(recording: Recording) -> Path:
-    """Return the file or folder of pictures of a recording of one camera."""
+def picture_size(recording: Recording) -> tuple[int, int]:
+    """Return the size (width, height) of the stored pictures of a recording of one camera, px."""
     source = recording.views[0].source
     assert source is not None  # `one_view` has checked it
-    return source
+    return frame_size(source)
 
 
 def clicks_of(start: str, recording: Recording) -> Clicks | None:
@@ -174,32 +171,27 @@ def clicks_of(start: str, recording: Recording) -> Clicks | None:
     return load_clicks(start, recording)
 
 
-def subject_in_picture(
-    source: FrameSource,
-    frame_rate: float,
-    *,
-    start: str = "auto",
-    evidence: str = "auto",
-    body: Body | None = None,
-    height: float | None = None,
-    floor: float | None = None,
-) -> TrackedSubject:
-    """Find the person in the pictures of one camera: body and rival start poses.
+def find_in_picture(clip: ClipState) -> TrackedSubject:
+    """Find the body and rival start poses of the person of a clip from the pictures of one camera.
 
-    source: frames by number.
-    frame_rate: Hz.
-    start: one of POINT_STARTS, or a file of clicks.
-    evidence: one of `tracking.recipes.PICTURE_CUES`; only a note to the user depends on it.
-    body: the person's own body; None: a body is fitted.
-    height: m, where known.
-    floor: height of the floor in the world, m; None: not known.
     Raises: InputError or EvidenceError where there is nothing to start from.
     """
+    source, body, height, frame_rate = clip.source, clip.body, clip.options.height, clip.frame_rate
+    start, floor = clip.options.start, clip.options.own.get("floor")
+    recorded = isinstance(source, RecordedFrames)
+    name = source.recording.views[0].name if recorded else "in memory"
+    seen = (
+        dict(enumerate(source.keypoints))  # without reading pictures
+        if recorded
+        else {i: points for i in range(len(source)) for points in source.frame(i).of(Keypoints)}
+    )
+    used = ["edges", "optical flow", *(["silhouettes"] if recorded and Silhouettes in source.kinds else [])]
+    used += ["key points"] if seen and clip.options.looks_at in ("auto", "keypoints", "both") else []
+    notes = [f"one camera ({name}): {', '.join(used)}"]
     with contextlib.closing(PictureFrames(source)) as frames:
-        template, seen = body or human(), _keypoints_of(source)
-        notes = [_evidence_note(source, evidence, bool(seen))]
+        template = body or human()
         if start in POINT_STARTS:
-            at, points = _first_keypoints(source, seen, frame_rate)
+            at, points = _first_keypoints(name, seen, frame_rate)
             frame = frames.frame(at)
             reported = f"the key points of frame {frame.index}"
             points_on: PointsOn = partial(keypoints_on, points)
@@ -212,7 +204,9 @@ def subject_in_picture(
             points_on = partial(clicked_joints, clicks=pixels, camera=source.rig[0], scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
-        later = () if body is not None else _later_points(seen, at, len(source))
+        # frames over the whole clip, from which lengths of the body are measured
+        rows = np.unique(np.linspace(at, len(source) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:].tolist()
+        later = [partial(keypoints_on, seen[i]) for i in rows if body is None and i in seen and _enough(seen[i])]
         fit = initialise(
             template,
             points_on,
@@ -240,52 +234,19 @@ def subject_in_picture(
     return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
-def _keypoints_of(source: FrameSource) -> dict[int, Keypoints]:
-    """Return the key points by frame, without reading pictures where possible."""
-    if isinstance(source, RecordedFrames):
-        return dict(enumerate(source.keypoints))
-    return {i: points for i in range(len(source)) for points in source.frame(i).of(Keypoints)}
-
-
-def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
-    """Return the sentence that names the camera and the evidence that is used.
-
-    source: frames by number.
-    evidence: option of the command, one of `tracking.recipes.PICTURE_CUES`.
-    keypoints: whether any frame has key points.
-    """
-    name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
-    masked = isinstance(source, RecordedFrames) and Silhouettes in source.kinds
-    used = ["edges", "optical flow"]
-    used += ["silhouettes"] if masked else []
-    used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
-    return f"one camera ({name}): {', '.join(used)}"
-
-
-def _later_points(seen: Mapping[int, Keypoints], first: int, stop: int) -> tuple[PointsOn, ...]:
-    """Select key points of frames over the whole clip, from which lengths of the body are measured.
-
-    seen: key points by frame.
-    first, stop: number of the frame of the start, and of all frames.
-    Returns: functions that place the key points of a frame on a body.
-    """
-    rows = np.unique(np.linspace(first, stop - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:].tolist()
-    return tuple(partial(keypoints_on, seen[i]) for i in rows if i in seen and _enough(seen[i]))
-
-
 def _enough(seen: Keypoints) -> bool:
     """Return whether enough key points are seen for a start."""
     return seen_points(keypoints_on(seen, human())) >= LEAST_CLICKS
 
 
-def _first_keypoints(source: FrameSource, seen: Mapping[int, Keypoints], frame_rate: float) -> tuple[int, Keypoints]:
+def _first_keypoints(name: str, seen: Mapping[int, Keypoints], frame_rate: float) -> tuple[int, Keypoints]:
     """Find the first frame of the first second with enough key points; return its number and its key points.
 
+    name: name of the camera.
     seen: key points by frame.
     frame_rate: Hz.
     Raises: InputError without any key points; EvidenceError where no frame of the first second has enough.
     """
-    name = source.recording.views[0].name if isinstance(source, RecordedFrames) else "in memory"
     if not seen:
         raise InputError(
             f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
@@ -395,23 +356,14 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
 # ---- passes ----------------------------------------------------------------------------------------------------------
 
 
-def find_in_picture(clip: ClipState) -> TrackedSubject:
-    """Find the body and start poses of the person of a clip from the pictures of one camera."""
-    o = clip.options
-    about = {"start": o.start, "evidence": o.looks_at, "body": clip.body, "height": o.height}
-    return subject_in_picture(clip.source, clip.frame_rate, **about, floor=o.own.get("floor"))
-
-
 def assess_picture(clip: ClipState) -> ClipState:
     """Judge the motion of one camera by its picture; the modes give the other possible poses.
 
     The motion gets frames of low confidence and, by its covariance, the error probability of each joint; its
-    uncertainty is in the modes. Without a motion nothing is done.
+    uncertainty is in the modes.
     """
     motion = clip.motion
-    if motion is None:
-        return clip
-    assert motion.poses is not None and clip.modes is not None
+    assert motion is not None and motion.poses is not None and clip.modes is not None
     deviation = image_deviation(clip.who.body, motion.poses, clip.frames(range(len(motion))))
     low_confidence = deviation > SETTINGS.picture_deviation_frame
     before = motion.low_confidence

@@ -36,7 +36,7 @@ from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.retracking import backward_pass, correct_left_right, retrack_start
 from hypose.pipeline.sources import FrameSource, Places, tracked_frames
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.track_loop import Deferred, StageProgress, TrackedPerson, TrackingSession, tracker_of
+from hypose.pipeline.track_loop import StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
@@ -72,8 +72,8 @@ _LOG = logging.getLogger(__name__)
 
 def find_alone(clip: ClipState) -> TrackedSubject:
     """Find the body and start pose of the one person of a clip from masks and key points of several cameras."""
-    o, body = clip.options, clip.body
-    wanted = SubjectOptions(o.start, o.height, o.girths, body, clip.frame_rate, o.seed, body is not None)
+    o = clip.options
+    wanted = SubjectOptions(o.start, o.height, None, o.girths, clip.body, clip.frame_rate, o.seed)
     return find_subject(clip.source.frame, len(clip.source), wanted)
 
 
@@ -101,7 +101,7 @@ class ClipState:
     candidates: possible people who are not tracked at the end, see `TrackingSession`.
     complete: every frame was tracked.
     error: what ended tracking after some frames.
-    motion: None before `to_motion`, or before `track_clip` where all frames are solved together.
+    motion: None before `to_motion` or `solve_keypoints`.
     one_by_one: (T, D) poses as each frame was tracked, before smoothing.
     audit: (T, J, A) features of the error model.
     covariance: (T, D, D) covariances of the poses.
@@ -190,7 +190,7 @@ class ClipState:
 
     def frames(self, numbers: range) -> Iterator[Frame]:
         """Read the frames with these numbers once more, forwards or backwards."""
-        return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who)
+        return tracked_frames(self.source, numbers, self.tracker.recipe.needs, self.who.body, self.who.start)
 
     def with_estimates(self, estimates: Sequence[FrameEstimate], notes: Sequence[str]) -> ClipState:
         """Return the clip with other estimates of its one person, and more notes."""
@@ -255,10 +255,15 @@ def session_of(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     checkpoint: keep the state in the results folder.
     """
     path = clip.results.checkpoint if checkpoint and clip.results is not None else None
-    about = {"identity": provenance_identity(clip.record), "every": clip.options.checkpoint_every}
-    held = Deferred(clip.progress)
     return TrackingSession(
-        list(clip.people), clip.frame_rate, clip.finder, path, held=held, candidates=list(clip.candidates), **about
+        list(clip.people),
+        clip.frame_rate,
+        clip.finder,
+        path,
+        provenance_identity(clip.record),
+        clip.options.checkpoint_every,
+        clip.progress,
+        list(clip.candidates),
     )
 
 
@@ -281,32 +286,27 @@ def _found(clip: ClipState) -> tuple[TrackedPerson, ...]:
 # ---- tracking ----------------------------------------------------------------------------------------------
 
 
-def track_clip(clip: ClipState) -> ClipState:
-    """Track the frames one after the other; solve them together where the clip has key points only.
+def track_clip(clip: ClipState, checkpoint: bool = True) -> ClipState:
+    """Track the frames that are not tracked yet, one after the other.
 
+    checkpoint: keep the state in the results folder.
     Where a frame fails, `ClipState.error` says why, and the frames before it are kept; without a results folder the
     error is raised.
     """
-    if clip.options.whole_clip and clip.method is None:
-        return _solve_keypoints(clip)
-    return track_rest(clip, session_of(clip))
-
-
-def track_rest(clip: ClipState, session: TrackingSession) -> ClipState:
-    """Track the frames that a session has not tracked yet."""
+    session = session_of(clip, checkpoint)
     source, rest = clip.source, range(session.done, len(clip.source))
     last = source.frame(rest.start - 1) if rest and rest.start else None
     if clip.finder is None:
-        frames = look_ahead(tracked_frames(source, rest, clip.tracker.recipe.needs, clip.who))
+        frames = look_ahead(tracked_frames(source, rest, clip.tracker.recipe.needs, clip.who.body, clip.who.start))
     else:
         frames = (source.frame(t) for t in rest)
     with contextlib.closing(frames):
-        error = session.track(frames, last, len(source), clip.progress)
+        error = session.track(frames, last, len(source))
     complete = session.done == len(source) and not session.stopped
     return replace(clip, people=tuple(session.people), candidates=session.candidates, complete=complete, error=error)
 
 
-def _solve_keypoints(clip: ClipState) -> ClipState:
+def solve_keypoints(clip: ClipState) -> ClipState:
     """Solve the key points of all frames together (hypose.tracking.keypoint_clip); masks are not used."""
     subject, names = clip.who, clip.who.body.skeleton.joint_names
     frames = [replace(clip.source.frame(i), silhouettes=None) for i in range(len(clip.source))]
@@ -373,7 +373,7 @@ def trace_searches(clip: ClipState) -> ClipState:
 
 def correct_sides(clip: ClipState) -> ClipState:
     """Find stretches in which left and right were exchanged or the body was lost, and track them again."""
-    if not clip.estimates or not clip.complete:
+    if not clip.complete:
         return clip
     clip.progress("sides", 0, 1)
     sure = clip.options.sure_start
@@ -387,7 +387,7 @@ def correct_sides(clip: ClipState) -> ClipState:
 
 def correct_beginning(clip: ClipState) -> ClipState:
     """Track the first frames backwards from a frame in which the person was found, where the masks also show others."""
-    if not clip.estimates or not clip.complete or not clip.shared_masks or clip.options.sure_start:
+    if not clip.complete or not clip.shared_masks or clip.options.sure_start:
         return clip
     estimates, retracked = retrack_start(clip.tracker, clip.estimates, clip.frames, memory=clip.memory)
     text = f"the start was wrong in {in_words([retracked])}; tracked again backwards"
@@ -396,7 +396,7 @@ def correct_beginning(clip: ClipState) -> ClipState:
 
 def track_backwards(clip: ClipState) -> ClipState:
     """Track arms backwards in time from the frames in which they jumped."""
-    if not clip.estimates or not clip.smooths:
+    if not clip.smooths:
         return clip
     progress = partial(clip.progress, "both ways")
     estimates, moved = backward_pass(clip.tracker, clip.estimates, clip.frames, memory=clip.memory, progress=progress)
@@ -408,26 +408,23 @@ def track_backwards(clip: ClipState) -> ClipState:
 def to_motion(clip: ClipState) -> ClipState:
     """Make the motion from the estimates; time 0 is the first tracked frame."""
     estimates = clip.estimates
-    if not estimates:
-        return clip
     times = np.arange(len(estimates)) / clip.frame_rate
     return replace(clip, motion=motion_of(clip.who.body, times, estimates, clip.record), modes=modes_of(estimates))
 
 
 def smooth(clip: ClipState) -> ClipState:
     """Solve all frames together; feet that stand are held still on the floor."""
-    motion, recipe = clip.motion, clip.tracker.recipe
-    if not clip.estimates or motion is None or recipe.smooth is None or not clip.smooths:
+    motion, smoother = clip.motion, clip.tracker.recipe.smooth
+    if motion is None or smoother is None or not clip.smooths:
         return clip
     progress, state = partial(clip.progress, "smooth"), clip.person.member.state
-    motion, said = recipe.smooth(Clip(clip.tracker, motion, clip.estimates, state, clip.frames, progress))
+    motion, said = smoother(Clip(clip.tracker, motion, clip.estimates, state, clip.frames, progress))
     return replace(clip, motion=motion, notes=(*clip.notes, *said))
 
 
 def mark_anomalies(clip: ClipState) -> ClipState:
     """Mark frames of low confidence: pictures that repeat or jump, and views that disagree with the others."""
-    if not clip.estimates or clip.motion is None:
-        return clip
+    assert clip.motion is not None
     motion, said = with_anomalies(clip.motion, [e.seen for e in clip.estimates])
     return replace(clip, motion=motion, notes=(*clip.notes, *said))
 
@@ -436,10 +433,8 @@ def judge_joints(clip: ClipState) -> ClipState:
     """Estimate the errors of the joints, and add findings on the clip as a whole.
 
     The motion gets the error probability and covariance of each joint, the sd of the angles, and its frames of low
-    confidence. Without a motion nothing is done.
+    confidence.
     """
-    if clip.motion is None:
-        return clip
     if clip.audit is None or clip.covariance is None or clip.one_by_one is None:
         estimates = clip.estimates
         information = np.stack([e.uncertainty.information for e in estimates])
@@ -454,7 +449,7 @@ def judge_joints(clip: ClipState) -> ClipState:
         points = () if silhouettes else getattr(clip.source, "keypoints", ())  # where they are in memory
     else:
         depth, points = False, [clip.source.frame(i).keypoints for i in range(len(clip.source))]
-    assert clip.audit is not None
+    assert clip.motion is not None and clip.audit is not None
     # of an interrupted run, the key points of its frames
     motion = _with_errors(clip, "depth" if depth else None, points[: len(clip.audit)])
     found = against_the_clip(clip.audit, motion.n_views, evidence_of(clip.audit))
@@ -490,8 +485,7 @@ def mark_absence(clip: ClipState) -> ClipState:
     frames of low confidence.
     """
     motion, notes = clip.motion, [*clip.notes, *clip.person.said]
-    if motion is None or not clip.estimates:
-        return clip
+    assert motion is not None
     present, hidden = (np.array(x, dtype=np.bool_) for x in (clip.person.present, clip.person.hidden))
     motion = replace(motion, lost=motion.lost | ~present)
     if hidden.any():
@@ -533,6 +527,8 @@ AFTER_TRACKING: tuple[Pass, ...] = (
     mark_absence,
     keep_motion,
 )
+SOLVED_TOGETHER: tuple[Pass, ...] = (judge_joints, keep_motion)
+"""Passes of one person after `solve_keypoints`."""
 REASONS = {
     "place_sensors": "depth cameras stood elsewhere than the recording says; all frames were tracked again",
     "correct_sides": "left and right were exchanged, or the body was lost: tracked again from a better pose",
@@ -549,7 +545,6 @@ SEARCHES = {
             (
                 "the limb search found the limb elsewhere than the solve from the predicted pose",
                 "the table of arm poses found the arm elsewhere in the masks",
-                "the arm was taken over from a rival hypothesis",
                 "a rival hypothesis of the frames before became the best one",
             ),
             strict=True,

@@ -2,7 +2,7 @@
 
 People are found where no tracked body explains the visual hull (`hypose.evidence.people`), in the first frames and
 repeatedly later. Each has a tracker of their own (`step_together`). After tracking, each has a clip of their own
-(`OwnFrames`), in which the bodies of the others hide what they cover.
+(`own_frames`), in which the bodies of the others hide what they cover.
 
 Bodies of people who hide each other: hulls of people near each other merge, so which part hides a person is a guess,
 and only arms and feet show front and back. So each person is first tracked with the template, scaled to their size, on
@@ -19,12 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.anthropometry import prior_mean
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.people import SOLVED_WIDENING, HullPerson, Other, own_frame, people_seen, views_to_find
@@ -32,9 +30,9 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameSource
+from hypose.pipeline.sources import ChangedFrames, FrameSource
 from hypose.pipeline.start_choice import best_ways, way_of
-from hypose.pipeline.subject import SubjectOptions, TrackedSubject, different_poses, find_subject
+from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject, fit_outlines, overlaps
 from hypose.pipeline.track_loop import (
     Member,
     StageProgress,
@@ -62,9 +60,9 @@ from hypose.pipeline.track_management import (
     without_doubles,
 )
 from hypose.pipeline.track_options import TrackOptions
-from hypose.tracking.frame_evidence import mean_overlap, prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
-from hypose.tracking.shape_refinement import Known, refine_shape
+from hypose.tracking.shape_refinement import Known
 from hypose.tracking.start_search import Start
 from hypose.tracking.tracker import FrameEstimate
 
@@ -137,8 +135,8 @@ def least_hidden(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
     if not share.size:
         return numbers
     good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > SETTINGS.rough_hidden)
-    if len(good) < SETTINGS.rough_few_seen:
-        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_few_seen])
+    if len(good) < SETTINGS.rough_frames:
+        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_frames])
     return [numbers[k] for k in good]
 
 
@@ -173,7 +171,7 @@ def _rough(
     seed: int,
 ) -> RoughTrack | None:
     own = {t: frame_of_person(frame_at(t), t, who, paths) for t in numbers}
-    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_tried]
+    seen = least_hidden({t: frame.visible_share for t, frame in own.items()})[: SETTINGS.rough_frames]
     try:
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:
@@ -263,29 +261,21 @@ def _again(
     height: float | None,
 ) -> TrackedSubject:
     """Fit one person's body again on their track, whose first frame is that of the start."""
-    template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
+    noted = replace(subject, notes=(*subject.notes, AGAIN))
     seen = least_hidden({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
-    chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
-    frames = [own_at(who, seen[k]) for k in chosen]
-    x = prior_mean()
-    x[0] = np.log(subject.body.stature / template.stature)
     try:
-        outlines = [surface_evidence(frame) for frame in frames]
-        fit = refine_shape(template, poses[chosen], outlines, known=Known(height), start=x)
+        chosen, fit = fit_outlines(lambda k: own_at(who, seen[k]), subject.body, poses, iou, Known(height))
     except HyposeError:
         return noted
-    if _overlap(fit.body, fit.poses, frames) <= _overlap(subject.body, poses[chosen], frames):
+    frames = [own_at(who, seen[k]) for k in chosen]
+    after, before = (np.nanmean(overlaps(*of, frames)) for of in ((fit.body, fit.poses), (subject.body, poses[chosen])))
+    if after <= before:
         return noted
     first = min(way)
     begin, pose = own_at(who, first), way[first][0].pose
     start = refine(fit.body, pose[None], prepare(begin, fit.body, pose), SolveSettings())[0].pose
     return replace(noted, body=fit.body, start=start)
-
-
-def _overlap(body: Body, poses: Array, frames: Sequence[Frame]) -> float:
-    """Compute the mean IoU of a body in poses (F, D) with the masks of the frames."""
-    return float(np.mean([mean_overlap(body, q, prepare(f, body, q)) for q, f in zip(poses, frames, strict=True)]))
 
 
 # ---- finding and managing people ------------------------------------------------------------------------------
@@ -324,7 +314,7 @@ class PeopleFinder:
         # the last frame for which a person's place is given
         named = round(max((w.time for w in self.wanted if w.place is not None), default=0.0) * self.frame_rate)
         named, numbers = range(last, min(named + 1, len(self.source)), self._look_every), self._fit_numbers(0)
-        paths = lasting(self._places(sorted({*looks, *named, *numbers})), looks)
+        paths = lasting(follow_places(self.source.frame, sorted({*looks, *named, *numbers}), self.frame_rate), looks)
         if not paths:
             if self.source.frame(0).kind == "depth":
                 raise EvidenceError(
@@ -366,10 +356,6 @@ class PeopleFinder:
 
     def _at_start(self, name: str, subject: TrackedSubject) -> TrackedPerson:
         return TrackedPerson.at_start(name, subject, tracker_of(subject, self.options, self.frame_rate))
-
-    def _places(self, numbers: Sequence[int]) -> list[Path]:
-        """Follow all people in the hull through the frames `numbers`."""
-        return follow_places(self.source.frame, numbers, self.frame_rate)
 
     def _stood(self, path: Path, t: int) -> Array:
         """Return where (2,) m a person stood in about a frame; NaN where not known."""
@@ -423,8 +409,7 @@ class PeopleFinder:
         tried = () if mine is None else mine.starts(seen)
         start = "hull" if self.points is None else "keypoints"
         height = known.height or (o.height if alone else None)
-        given = known.body is not None
-        wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
+        wanted = SubjectOptions(start, height, None, o.girths, known.body, rate, o.seed, not alone, tried)
         subject = find_subject(frame_at, len(seen), wanted)
         earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
         if earlier:  # the fitted start is in the first frame that shows the person well
@@ -470,7 +455,7 @@ class PeopleFinder:
                 swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
         if look:
-            session.candidates = self._look(people, frame, t, session.candidates, session.held)
+            session.candidates = self._look(people, frame, t, session.candidates, session.progress)
 
     def _mark_absence(self, p: TrackedPerson, frame: Frame, own: Frame) -> None:
         """Mark a person as absent who has not been seen for long, and as hidden where others cover all views but one.
@@ -529,7 +514,7 @@ class PeopleFinder:
         """Fit a new person and add them to `people`; return False where no body can be fitted."""
         numbers = self._fit_numbers(t)
         # after this frame nothing is tracked yet: people are separated by the hull alone
-        paths = self._places(numbers)
+        paths = follow_places(self.source.frame, numbers, self.frame_rate)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):
             return False
@@ -560,7 +545,7 @@ class PeopleFinder:
 
     # ---- after tracking ----------------------------------------------------------------------------------------
 
-    def own_clip(self, p: TrackedPerson, people: Sequence[TrackedPerson]) -> tuple[OwnFrames, TrackedPerson]:
+    def own_clip(self, p: TrackedPerson, people: Sequence[TrackedPerson]) -> tuple[ChangedFrames, TrackedPerson]:
         """Return the frames as evidence for one of the people, and the person without mask changes that come from other
         people.
 
@@ -576,41 +561,29 @@ class PeopleFinder:
                 seen = estimates[t].seen.copy()
                 seen[:, 1] = np.nan
                 estimates[t] = replace(estimates[t], seen=seen)
-        return OwnFrames(self.source, p, people, self.points), replace(p, estimates=estimates)
+        return own_frames(self.source, p, people, self.points), replace(p, estimates=estimates)
 
 
-@dataclass(frozen=True)
-class OwnFrames:
-    """Frames of a source as evidence for one of the people, after all have been tracked: what the others hide is left
-    out.
+def own_frames(
+    source: FrameSource, who: TrackedPerson, people: Sequence[TrackedPerson], points: KeypointPeople | None
+) -> ChangedFrames:
+    """Return the frames of a source as evidence for one of the people, after all have been tracked: what the others
+    hide is left out.
 
     who: the person, one of `people`.
     points: key points sorted by person; None: the frames have none.
     """
 
-    source: FrameSource
-    who: TrackedPerson
-    people: Sequence[TrackedPerson]
-    points: KeypointPeople | None
+    def own(index: int, frame: Frame) -> Frame:
+        found = None if points is None else points.at(index, who.estimates[index].pose[:2], (), who.track)
+        nothing = None if points is None else points.nothing
+        frame = replace(frame, keypoints=nothing if found is None else found[1])
+        for s in frame.of(Silhouettes):
+            if not who.present[index]:
+                return frame.unseen()
+            shown = [p for p in people if p is who or p.present[index] and not p.estimates[index].lost]
+            shapes = {p.name: shape_of(p.subject.body, p.estimates[index].pose, s.rig) for p in shown}
+            return own_frame(frame, shapes.pop(who.name), [Other(o, SOLVED_WIDENING) for o in shapes.values()])
+        return frame
 
-    def __len__(self) -> int:
-        return len(self.who.estimates)
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index with the silhouettes, and key points, of this person."""
-        frame, who = replace(self.source.frame(index), keypoints=None), self.who
-        s = frame.silhouettes
-        if self.points is not None:
-            found = self.points.at(index, who.estimates[index].pose[:2], (), who.track)
-            frame = replace(frame, keypoints=self.points.nothing if found is None else found[1])
-        if s is None:
-            return frame
-        if not who.present[index]:
-            return frame.unseen()
-        own = shape_of(who.subject.body, who.estimates[index].pose, s.rig)
-        others = [
-            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)
-            for p in self.people
-            if p is not who and p.present[index] and not p.estimates[index].lost
-        ]
-        return own_frame(frame, own, others)
+    return ChangedFrames(source, own, range(len(who.estimates)))

@@ -21,8 +21,7 @@ from hypose.evidence.keypoints import person_size
 from hypose.evidence.people import HullPerson, people_seen, views_to_find
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints, unreported
 from hypose.io.recordings.recording import Recording
-from hypose.io.videos.video import open_video
-from hypose.pipeline.one_camera import Clicks, clicks_of, extent, source_of
+from hypose.pipeline.one_camera import Clicks, clicks_of, extent, picture_size
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_options import TrackOptions
@@ -90,27 +89,6 @@ def one_view(recording: Recording, camera: str | None) -> Recording:
     return replace(recording, views=(view,), rig=CameraRig((recording.rig[k],)))
 
 
-def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
-    """Compute the longer side (px) of the pictures to work on, so that the person is about SETTINGS.picture_target_px
-    tall.
-
-    person_px: height of the person, px of pictures of the size `picture`.
-    picture: (width, height), px.
-    Returns: between SETTINGS.picture_smallest_side and the calibrated size.
-    """
-    longest, share = max(recording.rig[0].size), person_px / max(picture)
-    wanted = SETTINGS.picture_target_px / max(share, 1e-3)
-    return round(min(max(wanted, min(SETTINGS.picture_smallest_side, longest)), longest))
-
-
-def has_masks(recording: Recording) -> bool:
-    """Return whether a recording of one camera has masks, or a background that is not learned from the clip itself.
-
-    Why: a background learned from the clip contains the person.
-    """
-    return bool({"masks", "background"} & recording.views[0].files.keys())
-
-
 def needs_masks(recording: Recording, evidence: str) -> bool:
     """Return whether masks of the one camera are made: it has masks, and the evidence is with them.
 
@@ -118,7 +96,10 @@ def needs_masks(recording: Recording, evidence: str) -> bool:
     Raises: InputError where the evidence needs masks or key points that the camera does not have.
     """
     view = recording.views[0]
-    if evidence in ("silhouettes", "both") and not has_masks(recording):
+    masked = bool(
+        {"masks", "background"} & view.files.keys()
+    )  # a background learned from the clip has the person in it
+    if evidence in ("silhouettes", "both") and not masked:
         raise InputError(
             f"Camera {view.name} has neither masks nor a background, so it gives no silhouettes; add masks or a "
             "background in recording.toml, or leave --evidence out."
@@ -128,23 +109,25 @@ def needs_masks(recording: Recording, evidence: str) -> bool:
             f"Camera {view.name} has no key points; add keypoints = ... to the view in recording.toml, or leave "
             "--evidence out."
         )
-    return has_masks(recording) and evidence in ("auto", "silhouettes", "both")
+    return masked and evidence in ("auto", "silhouettes", "both")
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
-    """Compute the longer side of the working pictures, px, from the size of the person at the start.
+    """Compute the longer side (px) of the pictures to work on, so that the person is about SETTINGS.picture_target_px
+    tall at the start.
 
     clicks: joints clicked in the first picture; None: the key points of the first second show the size.
-    Returns: the usual size where neither is known.
+    Returns: between SETTINGS.picture_smallest_side and the calibrated size; the usual size where the person's is not
+        known.
     """
+    points = load_keypoints(recording)[: 1 + int(recording.frame_rate)] if clicks is None else []
+    found = [size / max(k.rig[0].size) for k in points if (size := person_size(k.points[0])) > 0]
     if clicks is not None:
-        with open_video(source_of(recording)) as reader:
-            return working_side(recording, extent(np.array(list(clicks.values()))), reader.size)
-    points = load_keypoints(recording)[: 1 + int(recording.frame_rate)]
-    found = [size for k in points if (size := person_size(k.points[0])) > 0]
+        found = [extent(np.array(list(clicks.values()))) / max(picture_size(recording))]
     if not found:
         return FrameSettings().longer_side
-    return working_side(recording, float(np.median(found)), points[0].rig[0].size)
+    longest, wanted = max(recording.rig[0].size), SETTINGS.picture_target_px / max(np.median(found), 1e-3)
+    return round(min(max(wanted, min(SETTINGS.picture_smallest_side, longest)), longest))
 
 
 # ---- several people ------------------------------------------------------------------------------------------------
@@ -217,7 +200,7 @@ def _apart(people: Sequence[HullPerson]) -> int:
     """Count the people who stand clearly apart from all larger ones."""
     kept: list[HullPerson] = []
     for p in people:
-        if all(np.linalg.norm(p.axis - q.axis) > SETTINGS.path_clearly_m for q in kept):
+        if all(np.linalg.norm(p.axis - q.axis) > SETTINGS.people_near_m for q in kept):
             kept.append(p)
     return len(kept)
 

@@ -15,7 +15,7 @@ from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile
-from hypose.calibration.refine_body import BodySettings, adjust_with_body
+from hypose.calibration.refine_body import adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
     adjust,
@@ -36,13 +36,12 @@ from hypose.evidence.keypoint_check import triangulated, undistorted
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameStream, load_keypoints, unreported
+from hypose.io.recordings.frames import FrameStream, RecordedPerson, load_keypoints, load_person, unreported
 from hypose.io.recordings.recording import Recording
-from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject import SubjectOptions, find_subject, with_outlines
+from hypose.pipeline.subject import with_outlines
 from hypose.pipeline.track import track_source
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
@@ -125,7 +124,7 @@ def observe_recording(recording: Recording, most: int = 100, progress: _Progress
         silhouettes,
         clips,
         *about,
-        depths[:: max(1, len(depths) // SETTINGS.examine_looks)],
+        depths[:: max(1, len(depths) // SETTINGS.look_frames)],
     )
 
 
@@ -317,8 +316,7 @@ def _by_body(
     evidence = [[contour_term(silhouettes)] if silhouettes.usable.any() else [] for _, silhouettes in seen_at]
     small = stream.rig
     progress("refine", 0, 1)
-    settings = BodySettings(contour_weight=1.0, focal=focal)
-    found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
+    found = adjust_with_body(body, small, poses[kept], evidence, free, focal=focal)
     progress("refine", 1, 1)
     person = body.joints(found.poses).reshape(-1, 3)
     return _poses_into(recording.rig, found.rig), person, judged, notes
@@ -336,14 +334,11 @@ def _start_from_points(frames: Sequence[Frame], keypoints: Sequence[Keypoints]) 
 def _start_from_masks(
     source: Resampled, recording: Recording, used: NDArray[np.int64], progress: _Progress
 ) -> tuple[Body, Array, list[str]]:
-    progress("subject", 0, 1)
-    options = SubjectOptions(height=recording.subject_height, frame_rate=recording.frame_rate)
-    subject = find_subject(source.frame, len(source), options)
-    progress("subject", 1, 1)
-    result = track_source(source, recording.frame_rate, TrackOptions(), subject=subject, progress=progress)
+    options = TrackOptions(height=recording.subject_height)
+    result = track_source(source, recording.frame_rate, options, progress=progress)
     poses = result.motion.poses
     assert poses is not None
-    return subject.body, poses[used], ["body and start poses tracked from silhouettes alone", *subject.notes]
+    return result.body, poses[used], ["body and start poses tracked from silhouettes alone", *result.notes]
 
 
 def _scale(

@@ -33,13 +33,11 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.frame_anomalies import looked_again
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.sources import FrameRange, frames_backwards
 from hypose.tracking.frame_evidence import PreparedFrame, agreement
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.refinement import RIVAL, mismatch, uncertainty_of_pose
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
-
-FrameRange = Callable[[range], Iterable[Frame]]
-"""Function that reads the frames with the given numbers, one after the other."""
 
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -62,14 +60,16 @@ def correct_left_right(
     """
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
-    while (at := _most_suspicious(out, tried)) is not None:
-        retracked = _retracked_from(tracker, out, at, frames, memory)
-        if retracked.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and retracked.first == 0):
-            tried.update(retracked.compared)  # frames that fit equally well both ways are tried once
+    # first the frame in which the body with exchanged sides, or found again, is better by most
+    while suspicious := [(e.exchanged, t) for t, e in enumerate(out) if e.exchanged > 0 and t not in tried]:
+        at = max(suspicious)[1]
+        first, better, won, compared = _retracked_from(tracker, out, at, frames, memory)
+        if won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and first == 0):
+            tried.update(compared)  # frames that fit equally well both ways are tried once
             continue
         tried.add(at)
-        out[retracked.first : retracked.first + len(retracked.better)] = retracked.better
-        replaced[retracked.first : retracked.first + len(retracked.better)] = True
+        out[first : first + len(better)] = better
+        replaced[first : first + len(better)] = True
     return out, runs(replaced)
 
 
@@ -96,42 +96,20 @@ def retrack_start(
     return out, range(max(moved, default=-1) + 1)
 
 
-def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
-    """Return the frame in which the body with exchanged sides, or found again, is better by most; None where none is
-    left.
-    """
-    better = [(e.exchanged, t) for t, e in enumerate(estimates) if e.exchanged > 0 and t not in tried]
-    return max(better)[1] if better else None
-
-
-@dataclass(frozen=True)
-class _Retracked:
-    """Frames that were tracked again.
-
-    first: number of the first frame of `better`.
-    better: new estimates.
-    won: sum over their frames of the decrease of 1 - IoU.
-    compared: all frames that were tracked for it.
-    """
-
-    first: int
-    better: list[FrameEstimate]
-    won: float
-    compared: range
-
-
 def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
-) -> _Retracked:
-    """Track again from frame `at` in both directions, starting with exchanged sides, or where the lost body was found;
-    return the frames that become better.
+) -> tuple[int, list[FrameEstimate], float, range]:
+    """Track again from frame `at` in both directions, starting with exchanged sides, or where the lost body was found.
+
+    Returns: number of the first frame that becomes better, new estimates from there on, the sum over these frames of
+        the decrease of 1 - IoU, and all frames that were tracked for it.
     """
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, frames_forwards(frames, at, len(old)))
     earlier, won_earlier, before = _while_better(tracker, start, old, back, with_last(frames_backwards(frames, at)))
     compared = range(at - before, at + after)
-    return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
+    return at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared
 
 
 def _while_better(
@@ -178,14 +156,6 @@ def frames_forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple
     before = () if first else (None,)
     pairs = pairwise(chain(before, frames(range(max(0, first - 1), stop))))
     return ((frame, last) for last, frame in pairs if frame is not None)
-
-
-def frames_backwards(frames: FrameRange, stop: int) -> Iterator[Frame]:
-    """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
-    backwards.
-    """
-    for end in range(stop, 0, -SETTINGS.sides_block):
-        yield from list(frames(range(max(0, end - SETTINGS.sides_block), end)))[::-1]
 
 
 def with_last(backwards: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:

@@ -17,9 +17,8 @@ from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
 from hypose.errors import HyposeError, InputError, extra
 from hypose.geometry import Array, runs
-from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
-from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess
+from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess, load_assessment
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
     UNTIL_TRACKED,
@@ -77,6 +76,11 @@ class TrackResult:
         return np.ones(len(self.motion), dtype=np.bool_) if self.present is None else self.present
 
     @property
+    def spans(self) -> list[list[int]]:
+        """Rows [first, one after the last] of the motion in which the person is there."""
+        return [[r.start, r.stop] for r in runs(self.there)]
+
+    @property
     def assessment(self) -> Assessment:
         """Assessment of the motion: good, to be reviewed, or not to be trusted, with reasons.
 
@@ -119,13 +123,16 @@ class TrackResult:
     def save(self, folder: str | Path) -> None:
         """Write motion.npz, body.npz, provenance.json and assessment.json, which `load_result` reads.
 
+        The assessment of one of several people also has the rows in which the person is there (`spans`).
+
         folder: is made where it does not exist.
         """
         results = ResultsFolder(Path(folder))
         save_motion(self.motion, results.motion)
         save_body(self.body, results.file("body.npz"))
         results.write_json("provenance.json", self.motion.provenance)
-        results.write_json(ASSESSMENT_FILE, self.assessment.with_joints(self.motion))
+        there = {"there": self.spans} if self.name else {}
+        results.write_json(ASSESSMENT_FILE, {**self.assessment.document(self.motion), **there})
 
     @staticmethod
     def of(clip: ClipState) -> TrackResult:
@@ -156,6 +163,7 @@ class PeopleResult:
     notes: for the report.
     others: number of people in addition to those requested.
     findings: reasons to distrust the places of depth cameras.
+    absent: sentence that the one person who was asked for by name is not among them; empty where there is none.
     """
 
     people: tuple[TrackResult, ...]
@@ -163,6 +171,7 @@ class PeopleResult:
     notes: tuple[str, ...] = ()
     others: int = 0
     findings: tuple[Finding, ...] = ()
+    absent: str = ""
 
 
 def load_tracked(folder: str | Path) -> TrackResult:
@@ -171,11 +180,10 @@ def load_tracked(folder: str | Path) -> TrackResult:
     Raises: InputError where files are missing or damaged.
     """
     motion, body = load_result_body(Path(folder))
-    path = Path(folder) / ASSESSMENT_FILE
-    try:
-        judged = Assessment.of_document(read_json(path, "an assessment"))
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{path} is not an assessment of hypose; track the recording again.") from None
+    judged = load_assessment(Path(folder))
+    if judged is None:
+        path = Path(folder) / ASSESSMENT_FILE
+        raise InputError(f"{path} is missing or is not an assessment of hypose; track the recording again.")
     return TrackResult(motion, body, True, (), judged=judged, findings=judged.findings)
 
 

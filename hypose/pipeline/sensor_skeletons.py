@@ -29,7 +29,7 @@ from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     join_observations,
@@ -175,9 +175,7 @@ def skeleton_rows(
     own = np.where((state == TRACKED)[..., None], own, np.nan)
     sensors = world.shape[1]
     enough = np.isfinite(own[..., 0]).sum(0) >= SETTINGS.sensor_fewest  # (K, 15)
-    offset = np.zeros((sensors, 15, 3))
-    for k, j in np.argwhere(enough):
-        offset[k, j] = np.nanmedian(own[:, k, j], axis=0)
+    offset = np.nanmedian(np.where(enough[..., None], own, 0.0), axis=0)
     there = np.isfinite(world).all(-1) & enough
     weight = np.where(there, SETTINGS.sensor_weight * state / TRACKED, 0.0)
     flat = world.reshape(len(world), -1, 3)
@@ -259,13 +257,13 @@ def assess_fused(
     late = [Finding("clock", (), t) for t in _of_clocks(motion.times, clip, names)]
     found = [*(Finding("unit", (), text) for text in _of_size(motion)), *late]
     for name, apart in zip(names, registration.residual.tolist(), strict=True):
-        if apart > SETTINGS.sensor_apart_look_m and not late:
+        if apart > SETTINGS.sensor_apart_m[0] and not late:
             text = (
                 f"{name} and {names[0]} see the joints {1e3 * apart:.0f} mm apart (median), more "
                 "than two sensors of one person do: look whether both are in metres, name left and right alike, are "
                 "not mirrored, and saw the same movement"
             )
-            severity = INVALID if apart > SETTINGS.sensor_apart_m else REVIEW
+            severity = INVALID if apart > SETTINGS.sensor_apart_m[1] else REVIEW
             found.append(Finding("sensors disagree", (name,), text, size=apart, severity=severity))
     # frames without the person are no failure of the sensors
     if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
@@ -302,7 +300,7 @@ def _of_clocks(times: Array, clip: Sequence[SensorJoints], names: Sequence[str])
         if likeness < SETTINGS.sensor_like or abs(late) < SETTINGS.sensor_late_s:
             continue
         there, then = _apart(seen[:, [0, k]], 0), _apart(seen[:, [0, k]], round(late * rate))
-        if then < min(SETTINGS.sensor_apart_look_m, SETTINGS.sensor_nearer * there):
+        if then < min(SETTINGS.sensor_apart_m[0], SETTINGS.sensor_nearer * there):
             when = f"{abs(late):.2f} s {'early' if late > 0 else 'late'}"
             yield (
                 f"{name} reports the movements of {names[0]} {when}, so their clocks differ: correct its "

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 class PipelineSettings:
     """All constants of hypose.pipeline; the first word of a name says which module uses it.
 
-    again_poses: Poses to which a body is fitted again. With 8 and 20 the lengths of arms and legs were as far off
-        (seeds 440 and 441).
     again_least_won: Least sum over frames of the IoU won by the backward track to replace the start. Where nothing was
         wrong it won up to .21 (seeds 432, 440 and 441), where legs were exchanged .80 (432).
     compare_levels: Probabilities of the regions whose coverage is compared.
@@ -26,8 +24,8 @@ class PipelineSettings:
     compare_mirrored: A mirrored world must lower the cost to this share.
     compare_sentinel_frames, compare_sentinel_share: A position that repeats in more than so many frames, and in this
         share of them, marks a missing joint.
-    contradiction_look_apart_m, contradiction_wrong_apart_m: Unusual contradiction between the views from which a clip
-        is to be reviewed, and not to be trusted, m. On scenes (seeds 600 to 607) it was less than 5.5 mm with right
+    contradiction_apart_m: Unusual contradictions between the views from which a clip is to be reviewed, and not to be
+        trusted, m. On scenes (seeds 600 to 607) it was less than 5.5 mm with right
         cameras, also with objects in the masks; 9 to 16 mm with a calibration 1 % off, which costs 20 mm; 17 to 23 with
         one 3 % off; 12 to 14 with cameras a frame or two late.
     contradiction_look_more_m2: Bare mask area about a joint in a view, mean over the joints, median over the clip, from
@@ -52,11 +50,9 @@ class PipelineSettings:
     anomaly_shown: Share of a person that others must leave visible in a view for its overlap to be compared with that
         of other views. Chosen on people in the same masks (seed 430).
     anomaly_after_s: Marked frames nearer to each other than this are joined, s.
-    examine_looks: Frames whose depth maps are checked.
     examine_around: Margin around the key points, as a share of the person's size, in which a mask belongs to the person
         where others are there.
     examine_used: Frames that a refinement uses; the rest judges it.
-    first_tracked: Frames from which a body is fitted.
     first_as_many, first_as_well: Share of the most points of a frame from which a start is as good, and tolerated
         decrease of the share of detections that agree: one limb of one view is 3 of 100.
     look_frames: Frames that are checked first, spread over the clip.
@@ -76,9 +72,7 @@ class PipelineSettings:
     gait_between_frames: Error of the parabola between frames, in frames.
     gait_least_step: Least time between two strikes of a foot, s.
     gait_facing: Time over which the facing direction is averaged, s.
-    gait_shortest, gait_longest: Limits of the duration of a stride, s.
-    gesture_max_frames: Most frames of a session that are read.
-    gesture_max_gestures: Most gestures of a session.
+    gait_stride_s: Limits of the duration of a stride, s.
     gesture_waiting: Most pictures of a session that wait to be written.
     gesture_telling: Number of first pictures that identify a session.
     path_surprise: Deviation of a person from the predicted motion, m/s.
@@ -90,10 +84,9 @@ class PipelineSettings:
         person's own.
     path_gone_s: Time without a hull after which a path ends, s.
     path_part: Share of the other hulls' volume below which a hull is only a part of a person.
-    path_clearly_m: Distance from which people count as several where only one is expected, m.
     placing_looked_at: Frames from which sensors are registered; the person should have walked and turned by then.
     placing_calm: First maps whose median is used to find the floor.
-    placing_lowest_m, placing_highest_m: Plausible height of a depth camera above the floor, m; other heights mean
+    placing_height_m: Plausible range of the height of a depth camera above the floor, m; other heights mean
         another unit.
     placing_near: Time by which a map may be off its instant, as a share of a frame.
     placing_least_share: Share of a picture below which nothing is a person.
@@ -102,7 +95,6 @@ class PipelineSettings:
     background_largest_lag_s: Largest delay of one camera relative to another, s.
     background_sure, background_gain: Largest standard deviation (frames) of an offset that is used, and least gain of
         half a log-likelihood compared with no offsets.
-    background_scale_px: Usual error of an outline when offsets are estimated, px.
     engine_most_people: Most people that can be tracked at once: no computer keeps pace with more.
     engine_history: Mask areas that define the usual area, one every fifth instant.
     engine_latencies: Instants whose latencies are kept.
@@ -179,13 +171,12 @@ class PipelineSettings:
         before all is solved. With the right places, which are usual, this costs a fifth.
     newcomer_left_share: Share of a tracked person's box that must be unexplained in the necessary views before the hull
         is searched.
-    newcomer_shorter_m, newcomer_taller_m: Height by which the hull of a person who returns may be lower (bent) or
-        higher (arms up) than the body, m.
+    newcomer_higher_m: Limits of the height by which the hull of a person who returns may be lower (bent) or higher
+        (arms up) than the body, m.
     newcomer_one_place_m: Two bodies whose roots are nearer are one person, m.
     newcomer_nothing: Mean IoU below which a body explains nothing: a double had .01 (seed 450), people .78 and more
         (431, 441 to 444).
-    newcomer_walking, newcomer_reach: Speed (m/s), and additional distance (m), with which a person who returns may have
-        moved since leaving.
+    newcomer_walking: Speed with which a person who returns may have moved since leaving, m/s.
     newcomer_drawn_s: Time within which a new person is found by the next looks, s.
     picture_target_px: Size of the person in the pictures that are used, px: larger ones cost time, smaller ones limbs.
     picture_smallest_side: Smallest longer side of these pictures, px.
@@ -205,25 +196,26 @@ class PipelineSettings:
         without and with other evidence of them, and how many views must. One view alone can be an arm, or a chair that
         a table cuts off.
     several_looks: Frames that are checked for several people.
-    points_m: Largest distance of key points from the person they belong to, m.
     points_least_share: Least share of the frames in which a person's key points must be tracked for a result.
-    people_start_s: Time at the beginning in which the first people are searched, s.
+    people_near_m: Distance up to which key points, a hull or a body may belong to a person, m.
+    people_start_s: Time at the beginning in which the first people are searched; longest time before the first frame at
+        which a place still identifies a person, s.
     people_look_s: Time between two looks for a new person, who must be seen in two, s.
     people_fit_s, people_fit_hz: Time (s) and rate (Hz) of the frames from which a body is fitted.
     people_fewest: Least frames in which a new person must be found to be fitted.
     people_gone_s: Time without evidence after which a person has left, s.
     people_together_s: Two bodies that stay in one place for so long are one person, s.
     rough_hidden: Visible share of a body above which a view shows the person.
-    rough_few_seen: Least frames from which a body is fitted, if there are so many.
-    rough_tried: Frames that decide on the rough start.
+    rough_frames: Least frames from which a body is fitted, if there are so many, and most that decide on the rough
+        start.
     rough_rivals: Other starts that are tried again when the others' bodies are known.
     rough_lost: 1 - IoU from which a rough body counts as not found.
     sensor_scale_m, sensor_weight: Standard deviation of a reported joint, m; weight of one in units of the robust rows'
         cost, half of it where it was inferred.
     sensor_fewest: Least frames in which a sensor must report a joint for it to count.
     sensor_alike: Correlation of movements below which two clocks cannot be aligned.
-    sensor_apart_look_m, sensor_apart_m: Median distance between the joints of two sensors from which a result is to be
-        reviewed, and not to be trusted, m: 14 to 67 mm on 39 recordings of two real sensors; with one of them 15 % too
+    sensor_apart_m: Median distances between the joints of two sensors from which a result is to be reviewed, and not to
+        be trusted, m: 14 to 67 mm on 39 recordings of two real sensors; with one of them 15 % too
         large 113, a second late 122, with left and right exchanged in every frame 240.
     sensor_late_s, sensor_like: Difference of a sensor's clock (s), and correlation of both movements, from which it is
         reported: 0.12 s at most on the recordings above.
@@ -241,26 +233,27 @@ class PipelineSettings:
     stranger_looked_at: Longer side of the reduced masks in which parts are found, px; a limb stays two or three pixels
         wide.
     stranger_along: Positions along a bone that mark the body, as shares of its length.
-    check_tallest, check_smallest: Plausible extent of people's silhouettes, m; arms raised and lying down included.
+    check_extent_m: Plausible range of the extent of people's silhouettes, m; arms raised and lying down included.
     check_least_overlap: Least mean IoU of the best start; in the right pose the template has 0.6 (heavy people) to
         0.85.
     check_worse_pose: Decrease of IoU that a named pose may have compared with another; arms are corrected from up to 45
         degrees away.
-    subject_poses, subject_looked_at: Poses that the outlines are fitted in, and frames among which they are chosen.
+    subject_poses, subject_looked_at: Poses to which outlines are fitted, and frames among which they are chosen. In
+        shared masks the lengths of arms and legs were as far off with 20 poses (seeds 440 and 441).
+    subject_particles: Particles with which these frames are tracked.
     subject_the_person: Mean IoU of the template's girths up to which masks do not belong to the person of the key
         points.
     subject_bones, subject_sure_bones: Relative standard deviation of bones around those of the key points, per squared
         median distance of the key points from the fitted body (1/m^2), since scatter makes lengths uncertain in this
         proportion; and its limits. Chosen on bodies from plain, detector-like and thinned out key points (combo, seeds
         1248 to 1253).
-    subject_height_wrong, subject_height_review: Relative difference between the height that masks or depth show and the
-        given one from which a motion is not to be trusted, and to be reviewed.
+    subject_height_off: Relative differences between the height that masks or depth show and the given one from which a
+        motion is to be reviewed, and not to be trusted.
     subject_sure, subject_no_worse: Largest standard deviation of the height's logarithm with which it is used, and
         largest share of the mismatch that may remain. Four people (seeds 50 to 53) with the right height given came out
         within 0.5 %; with one 13 % too small, 5 to 9 % below their own height at worst (poses were fitted to the wrong
         body), 8 to 15 % above the given one.
-    tracked_placed_m, tracked_early_s: Largest distance of a wanted person from the given place, m; longest time before
-        the first frame at which a place still identifies a person, s.
+    tracked_placed_m: Largest distance of a wanted person from the given place, m.
     verdict_wrong_share: Mean error probability over joints and frames from which the motion is not to be trusted.
     verdict_limb_share: Share of the frames in which one joint is doubtful from which the motion is not to be trusted: a
         user cannot judge the rest.
@@ -280,7 +273,6 @@ class PipelineSettings:
         people 0.5 and less.
     """
 
-    again_poses: int = 12
     again_least_won: float = 0.3
     compare_levels: tuple[float, float, float] = (0.5, 0.9, 0.95)
     compare_most_lag: float = 5.0
@@ -294,8 +286,7 @@ class PipelineSettings:
     compare_mirrored: float = 0.5
     compare_sentinel_frames: int = 5
     compare_sentinel_share: float = 0.05
-    contradiction_look_apart_m: float = 0.006
-    contradiction_wrong_apart_m: float = 0.015
+    contradiction_apart_m: tuple[float, float] = (0.006, 0.015)
     contradiction_look_more_m2: float = 0.003
     anomaly_jump: float = 1.8
     anomaly_least_jump: float = 0.12
@@ -309,10 +300,8 @@ class PipelineSettings:
     anomaly_few_points: int = 6
     anomaly_shown: float = 0.75
     anomaly_after_s: float = 0.4
-    examine_looks: int = 12
     examine_around: float = 0.3
     examine_used: int = 17
-    first_tracked: int = 24
     first_as_many: float = 0.8
     first_as_well: float = 0.03
     look_frames: int = 12
@@ -328,10 +317,7 @@ class PipelineSettings:
     gait_between_frames: float = 0.05
     gait_least_step: float = 0.25
     gait_facing: float = 0.4
-    gait_shortest: float = 0.6
-    gait_longest: float = 2.5
-    gesture_max_frames: int = 1_000_000
-    gesture_max_gestures: int = 16
+    gait_stride_s: tuple[float, float] = (0.6, 2.5)
     gesture_waiting: int = 4
     gesture_telling: int = 10
     path_surprise: float = 1.0
@@ -341,11 +327,9 @@ class PipelineSettings:
     path_core_m: float = 0.3
     path_gone_s: float = 0.8
     path_part: float = 0.4
-    path_clearly_m: float = 0.6
     placing_looked_at: int = 400
     placing_calm: int = 9
-    placing_lowest_m: float = 0.05
-    placing_highest_m: float = 4.0
+    placing_height_m: tuple[float, float] = (0.05, 4.0)
     placing_near: float = 0.6
     placing_least_share: float = 0.003
     placing_frames: int = 24
@@ -353,7 +337,6 @@ class PipelineSettings:
     background_largest_lag_s: float = 0.4
     background_sure: float = 0.2
     background_gain: float = 6.0
-    background_scale_px: float = 1.5
     engine_most_people: int = 8
     engine_history: int = 11
     engine_latencies: int = 1800
@@ -434,12 +417,10 @@ class PipelineSettings:
     moved_rough: tuple[int, int] = (6, 3)
     moved_sure: float = 0.5
     newcomer_left_share: float = 0.1
-    newcomer_shorter_m: float = 0.35
-    newcomer_taller_m: float = 0.5
+    newcomer_higher_m: tuple[float, float] = (-0.35, 0.5)
     newcomer_one_place_m: float = 0.2
     newcomer_nothing: float = 0.2
     newcomer_walking: float = 3.0
-    newcomer_reach: float = 0.6
     newcomer_drawn_s: float = 0.4
     picture_target_px: float = 250.0
     picture_smallest_side: int = 320
@@ -457,8 +438,8 @@ class PipelineSettings:
     several_now_and_then: float = 0.25
     several_views: int = 2
     several_looks: int = 7
-    points_m: float = 0.6
     points_least_share: float = 0.1
+    people_near_m: float = 0.6
     people_start_s: float = 0.5
     people_look_s: float = 0.12
     people_fit_s: float = 3.0
@@ -467,16 +448,14 @@ class PipelineSettings:
     people_gone_s: float = 0.4
     people_together_s: float = 0.3
     rough_hidden: float = 0.5
-    rough_few_seen: int = 16
-    rough_tried: int = 16
+    rough_frames: int = 16
     rough_rivals: int = 2
     rough_lost: float = 0.6
     sensor_scale_m: float = 0.04
     sensor_weight: float = 0.3
     sensor_fewest: int = 10
     sensor_alike: float = 0.5
-    sensor_apart_look_m: float = 0.085
-    sensor_apart_m: float = 0.15
+    sensor_apart_m: tuple[float, float] = (0.085, 0.15)
     sensor_late_s: float = 0.2
     sensor_like: float = 0.85
     sensor_nearer: float = 0.8
@@ -494,21 +473,19 @@ class PipelineSettings:
     choice_never_s: float = 1e6
     stranger_looked_at: int = 160
     stranger_along: tuple[float, float, float] = (0.25, 0.5, 0.75)
-    check_tallest: float = 3.2
-    check_smallest: float = 0.4
+    check_extent_m: tuple[float, float] = (0.4, 3.2)
     check_least_overlap: float = 0.4
     check_worse_pose: float = 0.05
     subject_poses: int = 8
+    subject_particles: int = 48
     subject_looked_at: int = 24
     subject_the_person: float = 0.3
     subject_bones: float = 50.0
     subject_sure_bones: tuple[float, float] = (0.005, 0.05)
-    subject_height_wrong: float = 0.12
-    subject_height_review: float = 0.07
+    subject_height_off: tuple[float, float] = (0.07, 0.12)
     subject_sure: float = 0.03
     subject_no_worse: float = 1.02
     tracked_placed_m: float = 1.0
-    tracked_early_s: float = 0.5
     verdict_wrong_share: float = 0.12
     verdict_limb_share: float = 0.5
     verdict_limb_p: float = 0.35

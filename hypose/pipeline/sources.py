@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -19,12 +19,10 @@ from hypose.evidence.frame import Frame, FrameSource, Keypoints, Picture, Silhou
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject import TrackedSubject
 
 if TYPE_CHECKING:  # recordings are opened elsewhere
-    from hypose.io.recordings.frames import FrameSettings
     from hypose.io.recordings.recording import Recording
-    from hypose.io.recordings.view_source import ViewSource
+    from hypose.io.recordings.recording_views import ViewSource
 
 
 @runtime_checkable
@@ -32,15 +30,28 @@ class RecordedFrames(FrameSource, Protocol):
     """Protocol of the frames of a recording: hypose.io.recordings.frames.FrameStream."""
 
     recording: Recording
-    options: FrameSettings
     rig: CameraRig
     kinds: frozenset[type]
     keypoints: Sequence[Keypoints]
+    unchosen: Sequence[Keypoints]
+    others: int
     frames: range
 
     def pictures(self) -> list[ViewSource]:
         """Open the pictures of all views; the caller closes them."""
         ...
+
+
+FrameRange = Callable[[range], Iterable[Frame]]
+"""Function that reads the frames with the given numbers, one after the other."""
+
+
+def frames_backwards(frames: FrameRange, stop: int, block: int = SETTINGS.sides_block) -> Iterator[Frame]:
+    """Yield the frames stop - 1, stop - 2, ..., 0. They are read in blocks, because videos are slow to read
+    backwards.
+    """
+    for end in range(stop, 0, -block):
+        yield from list(frames(range(max(0, end - block), end)))[::-1]
 
 
 class PictureFrames:
@@ -53,7 +64,6 @@ class PictureFrames:
 
     def __init__(self, source: FrameSource) -> None:
         self._source, self._pictures = source, None
-        self._kept: dict[int, Frame] = {}
         if isinstance(source, RecordedFrames):
             # read forwards, while the stream makes masks ahead
             self._pictures = source.pictures()[0]
@@ -80,33 +90,20 @@ class PictureFrames:
             before it too, unless the source begins (or ends) there.
         """
         behind = indices.start - indices.step
-        last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
-        for index in indices:
-            frame = self._read(index, indices.step)
-            if frame.picture is not None:
-                before = None if last is None or last.picture is None else last.picture.image
-                yield replace(frame, picture=replace(frame.picture, before=before))
-            else:
-                yield frame
-            last = frame
+        begin = behind if indices and 0 <= behind < len(self._source) else indices.start
+        numbers, before = range(begin, indices.stop, indices.step), None
+        frames = map(self.frame, numbers) if indices.step > 0 else self._backwards(begin)
+        for index, frame in zip(numbers, frames, strict=False):
+            picture = frame.picture
+            if index in indices:
+                yield frame if picture is None else replace(frame, picture=replace(picture, before=before))
+            before = None if picture is None else picture.image
 
-    def _read(self, index: int, step: int) -> Frame:
-        """Read a frame with its picture.
-
-        index: number of the frame.
-        step: direction of the walk; below 0 several frames are read at once in their order and kept, so that the video
-            is never decoded backwards.
-        """
-        if step > 0:
-            return self.frame(index)
-        if index not in self._kept:
-            first = self.frame(index) if not self._kept else next(iter(self._kept.values()))
-            size = 1 if first.picture is None else first.picture.image.nbytes
-            self._kept = {
-                i: self.frame(i)
-                for i in range(max(0, index + 1 - max(1, SETTINGS.picture_ahead_bytes // size)), index + 1)
-            }
-        return self._kept[index]
+    def _backwards(self, begin: int) -> Iterator[Frame]:
+        """Yield the frames begin, begin - 1, ..., 0; as many at once as their memory allows."""
+        size = 1 if self._pictures is None else 3 * int(np.prod(self._pictures.prepare.size))
+        block = max(1, SETTINGS.picture_ahead_bytes // size)
+        return frames_backwards(lambda numbers: map(self.frame, numbers), begin + 1, block)
 
     def close(self) -> None:
         """Release the video."""
@@ -115,14 +112,15 @@ class PictureFrames:
 
 
 def tracked_frames(
-    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+    source: FrameSource, indices: range, needs: Sequence[str], body: Body, start: Array
 ) -> Iterator[Frame]:
     """Yield the frames that a recipe tracks, with the evidence that it needs.
 
     source: frames by number.
     indices: frames, forwards or backwards.
     needs: kinds of evidence that the recipe uses, as in Recipe.
-    subject: the person; its body at the start pose shows where the skin colours are learned.
+    body: of the person.
+    start: (D,) pose in the first frame, which shows where the skin colours are learned.
     Returns: frames with the picture of the one camera where the recipe needs pictures; frames with detections by skin
         colour where it needs detections, and the recording has pictures but no key points; unchanged frames otherwise.
     """
@@ -138,7 +136,7 @@ def tracked_frames(
     ):
         yield from (source.frame(i) for i in indices)
         return
-    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
+    with contextlib.closing(ColourDetections(source, body, start)) as coloured:
         yield from (coloured.frame(i) for i in indices)
 
 
@@ -164,9 +162,6 @@ class ColourDetections:
                 "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
             )
         self._colours = end_colors(body, start, first, images)
-
-    def __len__(self) -> int:
-        return len(self.source)
 
     def frame(self, index: int, /) -> Frame:
         """Read a frame with its detections; without them where fewer than two views see the person."""
@@ -247,20 +242,32 @@ class Places:
 
 
 @dataclass(frozen=True)
-class PlacedSource:
-    """Source of frames with corrected camera places; in each frame the last of the places that have begun counts."""
+class ChangedFrames:
+    """Some frames of a source, each changed by a function of its number in the source.
+
+    numbers: numbers of the frames in the source.
+    """
 
     source: FrameSource
-    places: Sequence[Places]
+    change: Callable[[int, Frame], Frame]
+    numbers: range
 
     def __len__(self) -> int:
-        return len(self.source)
+        return len(self.numbers)
 
     def frame(self, index: int, /) -> Frame:
-        """Return frame number index."""
-        now = [p for p in self.places if p.since <= index]
-        found = self.source.frame(index)
-        return placed(found, now[-1].camera_from_world) if now else found
+        """Return frame number index, counted from the first of `numbers`."""
+        return self.change(self.numbers[index], self.source.frame(self.numbers[index]))
+
+
+def placed_source(source: FrameSource, places: Sequence[Places]) -> ChangedFrames:
+    """Return the source with corrected camera places; in each frame the last of the places that have begun counts."""
+
+    def at_place(index: int, frame: Frame) -> Frame:
+        now = [p for p in places if p.since <= index]
+        return placed(frame, now[-1].camera_from_world) if now else frame
+
+    return ChangedFrames(source, at_place, range(len(source)))
 
 
 def placed(frame: Frame, camera_from_world: Array) -> Frame:

@@ -30,8 +30,6 @@ from hypose.tracking.start_search import (
     by_their_ways,
     hull_of,
     recover,
-    scaled_to_height,
-    start_in_pose,
     starts_in_frame,
     weigh_starts,
 )
@@ -67,8 +65,8 @@ def check_person_size(frame: Frame) -> None:
     calibration's likely unit.
     """
     heights = [tall for masks in frame.of(Silhouettes) if (tall := apparent_height(masks)) is not None]
-    height = heights[0] if heights else SETTINGS.check_smallest
-    if SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
+    height = heights[0] if heights else SETTINGS.check_extent_m[0]
+    if SETTINGS.check_extent_m[0] <= height <= SETTINGS.check_extent_m[1]:
         return
     fitting = [u for u, k in _UNITS.items() if 1.0 <= height * k <= 2.4]
     advice = (
@@ -251,22 +249,18 @@ def best_ways(
     """
     numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
     extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))
-    named = poses[0] if len(poses) == 1 else None
     found: list[tuple[int, Starts]] = []
     alone: tuple[float, BestWays] | None = None
     failed: EvidenceError | None = None
     for k in numbers:
         try:
-            if named is not None and k == 0:  # only the first frame is expected to show the named pose
-                start = named_start(template, frames[0], named, height, extent)
-                starts = Starts((start,), np.ones(1), np.zeros(len(start.body.skeleton.joint_names)))
-            else:
-                starts = _searched(template, frames, k, height, extent)
+            # only the first frame is expected to show a named pose
+            starts = _searched(template, frames, k, height, extent, KNOWN_POSES if k else poses)
         except EvidenceError as error:
             failed = failed or error
             continue
-        if named is not None and k == 0:
-            _check_named(template, frames[0], named, starts.best, extent)
+        if len(poses) == 1 and k == 0:
+            _check_named(template, frames[0], poses[0], starts.best, extent)
         found.append((k, starts))
         value = _overlap(starts.best, frames[k])
         if alone is None or value > alone[0] + SETTINGS.choice_clearly:
@@ -308,22 +302,30 @@ def _extent(template: Body, frames: Sequence[Frame], numbers: Sequence[int]) -> 
     return float(np.median(heights)) if heights else None
 
 
-def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:
+def _searched(
+    template: Body,
+    frames: Sequence[Frame],
+    at: int,
+    height: float | None,
+    extent: float | None,
+    names: Sequence[str],
+) -> Starts:
     """Search starts in frame number `at`, weighted by the frames after it, or before it where none follow."""
     zero = np.zeros(template.skeleton.dof)
     others = [at + k for k in SETTINGS.choice_later if at + k < len(frames)] or [
         at - k for k in SETTINGS.choice_later if at - k >= 0
     ]
     later = [prepare(frames[k], template, zero) for k in others]
-    here = prepare(frames[at], template, zero)
-    return weigh_starts(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
+    found = starts_in_frame(template, prepare(frames[at], template, zero), height, extent, names)
+    return weigh_starts(found, [f for f in later if f.silhouettes.seen])
 
 
 def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
     """Raise EvidenceError where a frame shows another known pose clearly better than the named one of the start."""
-    others = [p for p in KNOWN_POSES if p != name]
-    overlap = {p: 1 - named_start(template, frame, p, start.body.stature, extent).cost for p in others}
-    best, value = max(others, key=lambda p: overlap[p]), 1 - start.cost
+    prepared, height = prepare(frame, template, np.zeros(template.skeleton.dof)), start.body.stature
+    others = {p: starts_in_frame(template, prepared, height, extent, (p,))[0] for p in KNOWN_POSES if p != name}
+    overlap = {p: _overlap(other, frame) for p, other in others.items()}
+    best, value = max(others, key=lambda p: overlap[p]), _overlap(start, frame)
     if value < overlap[best] - SETTINGS.check_worse_pose:
         raise EvidenceError(
             f"Frame {frame.index} does not show the pose {name!r}: a body in it overlaps {value:.0%} of the "
@@ -334,29 +336,3 @@ def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: 
 
 def _overlap(start: Start, frame: Frame) -> float:
     return mean_overlap(start.body, start.pose, prepare(frame, start.body, start.pose))
-
-
-def named_start(
-    template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
-) -> Start:
-    """Place the template in a known pose at the visual hull of one frame.
-
-    height: m; None: several heights around `extent` (m; default: the hull's height) are tried.
-    Returns: the start with the height that fits best; its cost is 1 - mean IoU.
-    """
-    prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
-    if height is not None:
-        heights = [height]
-    else:
-        extent = extent or hull_of(prepared).height
-        # the hull of a person who stands is as high as the person; raised arms add up to a third, bending reduces it
-        heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
-    best: Start | None = None
-    for h in heights:
-        body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
-        found = start_in_pose(body, prepared, (pose,)).pose
-        cost = 1 - mean_overlap(body, found, prepared)
-        if best is None or cost < best.cost - 0.002:
-            best = Start(body, found, cost)
-    assert best is not None
-    return best

@@ -10,7 +10,7 @@ Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shap
 
 from __future__ import annotations
 
-import json
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +28,7 @@ from hypose.fitting import fit_pose
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.files import write_text
+from hypose.io.files import toml_lines, write_text
 from hypose.io.motions.results import body_arrays, body_of_arrays, load_body, save_body
 from hypose.pipeline.retracking import correct_left_right
 from hypose.pipeline.settings import SETTINGS
@@ -36,7 +36,6 @@ from hypose.pipeline.start_choice import best_ways, both_ways, check_borders, ch
 from hypose.tracking.frame_evidence import (
     MIN_CONFIDENCE,
     KeypointModel,
-    PreparedFrame,
     keypoint_model,
     keypoint_term,
     mean_overlap,
@@ -46,8 +45,8 @@ from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_offsets import calibrate_keypoints, start_with_masks, view_factors, weigh_against_masks
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import anatomical_prior, refine
-from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
-from hypose.tracking.start_search import KNOWN_POSES, Start, scaled_to_height, start_from_hull, start_from_keypoints
+from hypose.tracking.shape_refinement import Known, ShapeFit, ShapeSettings, refine_shape
+from hypose.tracking.start_search import KNOWN_POSES, Start, start_from_keypoints, starts_in_frame
 from hypose.tracking.subject import KeypointSubject, subject_from_keypoints
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
@@ -56,40 +55,53 @@ _Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class AnthropometryOptions:
-    """Options of estimating a body from silhouettes.
+class SubjectOptions:
+    """Options of finding the subject.
 
-    frames: number of different poses that are fitted.
+    start: 'auto', 'keypoints', 'hull' or the name of a known pose.
+    height, mass: m and kg; None: estimated from key points or masks.
+    girths: fit girths to the silhouettes where the body comes from key points.
+    body: the subject's own body, of which only the start pose is searched; None: the human template is fitted.
+    frame_rate: Hz.
+    seed: seed of random numbers.
+    shared: the masks also show other people; then starts of several frames are compared by tracking them through all
+        frames.
+    tried: further starts that may be right, each with its frame number.
+    frames: number of different poses to which outlines are fitted.
     tracked: number of frames that are tracked to find them.
     rate: rate of these frames, Hz.
-    particles: particles of the tracker.
     passes: with 2, the frames are tracked again with the fitted body.
-    height, mass: m and kg, where known.
-    poses: known poses that the person may have at the start.
-    seed: seed of random numbers.
-    shape: settings of the solver.
-    shared: the masks also show other people.
-    tried: further starts that may be right, each with its frame number in the recording.
     """
 
-    frames: int = 10
-    tracked: int = 36
-    rate: float = 12.5
-    particles: int = 48
-    passes: int = 2
+    start: str = "auto"
     height: float | None = None
     mass: float | None = None
-    poses: tuple[str, ...] = KNOWN_POSES
+    girths: bool = True
+    body: Body | None = None
+    frame_rate: float = 25.0
     seed: int = 0
-    shape: ShapeSettings = ShapeSettings()
     shared: bool = False
     tried: tuple[tuple[int, Start], ...] = ()
+    frames: int = SETTINGS.subject_poses
+    tracked: int = SETTINGS.subject_looked_at
+    rate: float = SETTINGS.people_fit_hz
+    passes: int = 1
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
+        allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
+        if self.start not in allowed:
+            raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
+        for name, value, low, high, unit in (
+            ("height", self.height, 0.5, 2.5, "m"),
+            ("mass", self.mass, 8.0, 350.0, "kg"),
+        ):
             if value is not None and not low <= value <= high:
-                unit = "m" if name == "height" else "kg"
                 raise InputError(f"A {name} of {value:g} {unit} is no person's; give {low:g} to {high:g} {unit}.")
+
+    @property
+    def poses(self) -> Sequence[str]:
+        """Names of the known poses in which the person may stand at the start."""
+        return KNOWN_POSES if self.start in ("auto", "keypoints", "hull") else (self.start,)
 
 
 @dataclass(frozen=True)
@@ -134,101 +146,70 @@ class SubjectEstimate:
 def estimate_subject(
     frame_at: _FrameAt,
     n_frames: int,
-    frame_rate: float,
-    template: Body,
-    options: AnthropometryOptions | None = None,
-    start: Array | None = None,
-    progress: _Progress | None = None,
+    options: SubjectOptions | None = None,
+    progress: _Progress = lambda done, total: None,
 ) -> SubjectEstimate:
     """Estimate the body of a recording's subject from silhouettes alone.
 
     frame_at: reads a frame by number.
-    start: (D,) pose of `template` in frame 0; default: known poses at the visual hull.
     progress: called with done, total for every frame.
     Raises: EvidenceError where fewer than two views are usable, the person's size is impossible (units), no view shows
         the whole person, or no start explains the silhouettes.
 
     The person may do anything; different poses (bent elbows and knees) place the joints.
     """
-    options = options or AnthropometryOptions()
-    step = max(1, round(frame_rate / options.rate))
-    indices = list(range(0, n_frames, step))[: options.tracked]
-    rate = frame_rate / step
-    done, total = 0, (1 + options.passes) * len(indices)
+    o = options or SubjectOptions()
+    step = max(1, round(o.frame_rate / o.rate))
+    indices, rate = range(0, n_frames, step)[: o.tracked], o.frame_rate / step
+    steps, total = itertools.count(1), (1 + o.passes) * len(indices)
 
     def tick() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(min(done, total), total)
+        progress(min(next(steps), total), total)
 
-    frames = []
+    seen = dict[int, Frame]()
     for i in indices:
-        frames.append(frame_at(i))
+        frame = frame_at(i)
         tick()
-    usable = [any(int(masks.usable.sum()) >= f.fewest_views for masks in f.of(Silhouettes)) for f in frames]
-    seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
-    numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
-    if not usable or not usable[0]:
-        raise EvidenceError(no_two_views(frames[0]))
-    check_person_size(seen[0])
-    border_notes = check_borders(seen, options.height)
-    height, known = options.height, Known(options.height, options.mass)
-    if start is None:
-        found = best_ways(
-            template,
-            seen,
-            rate,
-            options.poses,
-            height=height,
-            seed=options.seed,
-            shared=options.shared,
-            tried=[(numbers.index(i), s) for i, s in options.tried if i in numbers],
-        )
-        found.check(seen)
-        best, at, unsure = found.starts.best, found.at, found.starts.unsure
-        body, start_pose = best.body, best.pose
-    else:
-        body = template if height is None else scaled_to_height(template, height)
-        start_pose, at, unsure = start, 0, np.zeros((2, len(template.skeleton.joint_names)))
-    first, x = body, prior_mean()
-    x[0] = np.log(body.stature / template.stature)
-    by_template, iou = _tracked_poses(body, start_pose, at, seen, rate, options, tick)
-    chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
-    outlines = [surface_evidence(seen[k]) for k in chosen]
-    fit = refine_shape(template, tracked[chosen], outlines, known=known, options=options.shape, start=x)
-    for _ in range(options.passes - 1):
+        if any(int(masks.usable.sum()) >= frame.fewest_views for masks in frame.of(Silhouettes)):
+            seen[i] = frame
+        elif not seen:
+            raise EvidenceError(no_two_views(frame))
+    numbers, frames = list(seen), list(seen.values())
+    check_person_size(frames[0])
+    border_notes = check_borders(frames, o.height)
+    about = {"height": o.height, "seed": o.seed, "shared": o.shared}
+    tried = [(numbers.index(i), s) for i, s in o.tried if i in seen]
+    found = best_ways(human(), frames, rate, o.poses, tried=tried, **about)
+    found.check(frames)
+    first, at = found.starts.best.body, found.at
+    tracked, iou = _tracked_poses(first, found.starts.best.pose, at, frames, rate, o.seed, tick)
+    by_template, known = tracked, Known(o.height, o.mass)
+    chosen, fit = fit_outlines(frames.__getitem__, first, tracked, iou, known, o.frames)
+    for _ in range(o.passes - 1):
         # tracking with the fitted body is better, so other frames and better poses can be fitted
-        tracked, iou = _tracked_poses(fit.body, tracked[at], at, seen, rate, options, tick)
-        chosen = different_poses(fit.body, tracked, iou, options.frames)
-        again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
-        outlines, x = [surface_evidence(seen[k]) for k in chosen], fit.log_factors
-        fit = refine_shape(template, tracked[chosen], outlines, known=known, options=again, start=x)
-    if progress is not None:
-        progress(total, total)
-    before = by_template[chosen]
-    views = [prepare(seen[k], first, by_template[k]) for k in chosen]
-    body, x = fit.body, fit.log_factors
-    iou_before = _ious(first, before, views)
-    iou_after = _ious(body, fit.poses, views)
+        tracked, iou = _tracked_poses(fit.body, tracked[at], at, frames, rate, o.seed, tick)
+        chosen, fit = fit_outlines(frames.__getitem__, fit.body, tracked, iou, known, o.frames, fit)
+    progress(total, total)
+    body, x, views = fit.body, fit.log_factors, [frames[k] for k in chosen]
+    iou_before, iou_after = overlaps(first, by_template[chosen], views), overlaps(body, fit.poses, views)
     note = (
         f"shape from the silhouettes of {len(chosen)} poses: mean IoU {np.nanmean(iou_before):.3f} -> "
         f"{np.nanmean(iou_after):.3f}, clothes about {100 * x[entity('clothing')]:.0f} mm"
     )
     return SubjectEstimate(
         body,
-        body_of(template, x, clothed=False),
+        body_of(human(), x, clothed=False),
         x,
         fit.covariance,
-        refine(body, tracked[:1], prepare(seen[0], body, tracked[0]), SolveSettings())[0].pose,
+        refine(body, tracked[:1], prepare(frames[0], body, tracked[0]), SolveSettings())[0].pose,
         tuple(numbers[k] for k in chosen),
         fit.poses,
         first,
-        before,
+        by_template[chosen],
         iou_before,
         iou_after,
         (note, *border_notes),
-        unsure,
+        found.starts.unsure,
     )
 
 
@@ -238,15 +219,15 @@ def _tracked_poses(
     at: int,
     frames: Sequence[Frame],
     rate: float,
-    options: AnthropometryOptions,
+    seed: int,
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """Track the frames with few particles from frame `at` to both ends; correct exchanged sides.
 
     Returns: poses (T, D) and IoU (T,) in the order of the frames.
     """
-    recipe = default(body, particles=options.particles, frame_rate=rate)
-    tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
+    recipe = default(body, particles=SETTINGS.subject_particles, frame_rate=rate)
+    tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate))
     found = dict[int, FrameEstimate]()
     for k, estimate in both_ways(tracker, start, at, frames):
         found[k] = estimate
@@ -254,6 +235,34 @@ def _tracked_poses(
     in_order = [found[k] for k in range(len(frames))]
     tracked, _ = correct_left_right(tracker, in_order, lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
+
+
+def fit_outlines(
+    frame_at: _FrameAt,
+    body: Body,
+    poses: Array,
+    iou: Array,
+    known: Known,
+    count: int = SETTINGS.subject_poses,
+    before: ShapeFit | None = None,
+) -> tuple[list[int], ShapeFit]:
+    """Fit the human template to the outlines of a few different ones of the poses in which a body was tracked.
+
+    frame_at: gives the frame of a pose by its row.
+    body: the body that was tracked.
+    poses, iou: (T, D) and (T,) overlap of each pose with the evidence.
+    known: prior knowledge of the person.
+    count: largest number of poses.
+    before: an earlier fit, which is continued.
+    Returns: rows of the poses, sorted, and the fit.
+    """
+    chosen = different_poses(body, poses, iou, count)
+    how, start = ShapeSettings(), prior_mean()
+    start[0] = np.log(body.stature / human().stature)
+    if before is not None:
+        how, start = replace(how, iterations=(0, *how.iterations[1:])), before.log_factors
+    outlines = [surface_evidence(frame_at(k)) for k in chosen]
+    return chosen, refine_shape(human(), poses[chosen], outlines, known=known, options=how, start=start)
 
 
 def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:
@@ -280,8 +289,9 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     return sorted(chosen)
 
 
-def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
-    return np.stack([f.silhouettes.overlap(body, q) for q, f in zip(poses, frames, strict=True)])
+def overlaps(body: Body, poses: Array, frames: Sequence[Frame]) -> Array:
+    """Compute the overlap (F, C) of a body in poses (F, D) with the masks of the frames."""
+    return np.stack([prepare(f, body, q).silhouettes.overlap(body, q) for q, f in zip(poses, frames, strict=True)])
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
@@ -313,33 +323,32 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     return fit.body, f"girths from the silhouettes of {len(seen)} poses: mean IoU {before:.3f} -> {after:.3f}"
 
 
-def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, source: str = "") -> tuple[Path, Path]:
+def save_subject(folder: str | Path, estimate: SubjectEstimate, source: str = "") -> tuple[Path, Path]:
     """Write body.npz (the clothed body, for `hypose track --subject`) and subject.toml (sizes in cm with standard
     deviations, and shape factors) into a folder; return their paths.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    body, toml = folder / "body.npz", folder / "subject.toml"
+    body, toml = Path(folder) / "body.npz", Path(folder) / "subject.toml"
     save_body(estimate.body, body)
-    sd = {k: 100 * v for k, v in size_uncertainty(estimate, template).items()}
+    sd, skin, over = size_uncertainty(estimate), estimate.sizes.in_cm, sizes_of(estimate.body).in_cm
+    about = {
+        "body": body.name,
+        "recording": source or None,
+        "frames": list(estimate.frames),
+        "mean_iou": round(float(np.nanmean(estimate.iou)), 4),
+        "clothing_mm": round(1000 * CLOTHING_UNIT * float(estimate.factors[entity("clothing")]), 1),
+    }
     lines = [
         "# A person's body, estimated from silhouettes. Lengths in cm; sd: one standard deviation.",
-        'body = "body.npz"',
+        "# Factors are natural logarithms relative to the template; clothing in units of 10 cm.",
+        *toml_lines(about),
     ]
-    if source:
-        lines.append(f"recording = {json.dumps(source)}")
-    thickness = 1000 * CLOTHING_UNIT * estimate.factors[entity("clothing")]
-    lines += [f"frames = {[int(i) for i in estimate.frames]}", f"mean_iou = {float(np.nanmean(estimate.iou)):.4f}"]
-    lines += [f"clothing_mm = {thickness:.1f}", ""]
-    skin, over = estimate.sizes.in_cm, sizes_of(estimate.body).in_cm
-    for name, value in skin.items():
-        lines += [f'[sizes."{name}"]', f"cm = {value:.2f}", f"sd = {sd[name]:.2f}"]
-        if name.endswith("girth"):
-            lines.append(f"over_clothes_cm = {over[name]:.2f}")
-    lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
-    spread = np.sqrt(np.diag(estimate.covariance))
-    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors, spread, strict=True):
-        lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
+    for name, cm in skin.items():
+        clothed = round(over[name], 2) if name.endswith("girth") else None
+        sizes = {"cm": round(cm, 2), "sd": round(100 * sd[name], 2), "over_clothes_cm": clothed}
+        lines += ["", f'[sizes."{name}"]', *toml_lines(sizes)]
+    spread = np.sqrt(np.diag(estimate.covariance)).tolist()
+    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors.tolist(), spread, strict=True):
+        lines += ["", f'[factors."{name}"]', *toml_lines({"value": round(value, 5), "sd": round(width, 5)})]
     write_text(toml, "\n".join(lines) + "\n")
     return body, toml
 
@@ -360,7 +369,7 @@ def load_subject(path: str | Path) -> Body:
     return load_body(subject_file(path))
 
 
-def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
+def size_uncertainty(estimate: SubjectEstimate, draws: int = 24) -> dict[str, float]:
     """Compute the standard deviation (m) of every body size, from shapes drawn at random from the fit's covariance
     (fixed seed).
 
@@ -369,7 +378,7 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     """
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(estimate.covariance)
-    light = replace(template, coarse=template.fine)
+    light = replace(human(), coarse=human().fine)
     rows = []
     for z in rng.standard_normal((draws, len(SHAPE_FACTOR_NAMES))):
         rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
@@ -385,22 +394,15 @@ def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) ->
     frame_at: function that reads a frame by its number.
     Returns: height, m; None where the evidence does not determine it.
     """
-    known = np.flatnonzero(np.isfinite(iou))
+    known = np.flatnonzero(np.isfinite(iou)).tolist()
     if len(known) < 2:
         return None
-    chosen = known[different_poses(body, poses[known], iou[known], AnthropometryOptions().frames)]
-    seen = [frame_at(int(k)) for k in chosen]
-    if len(pieces_of(seen, Silhouettes)) < len(seen):
-        return None
-    at, template, start = list(range(len(seen))), human(), prior_mean()
-    start[0] = np.log(body.stature / template.stature)
-    outlines = [surface_evidence(seen[k]) for k in at]
-    views = [prepare(f, body, poses[k]) for f, k in zip(seen, chosen, strict=True)]
-    how = AnthropometryOptions().shape
-    free = refine_shape(template, poses[chosen], outlines, known=Known(), options=how, start=start)
+    poses = poses[known]
+    chosen, free = fit_outlines(lambda k: frame_at(known[k]), body, poses, iou[known], Known())
     if not np.sqrt(free.covariance[0, 0]) < SETTINGS.subject_sure:
         return None
-    before, after = (np.nanmean(_ious(b, q, views)) for b, q in ((body, poses[chosen]), (free.body, free.poses)))
+    seen = [frame_at(known[k]) for k in chosen]
+    before, after = (np.nanmean(overlaps(b, q, seen)) for b, q in ((body, poses[chosen]), (free.body, free.poses)))
     return free.body.stature if 1 - after < SETTINGS.subject_no_worse * (1 - before) else None
 
 
@@ -451,38 +453,6 @@ class TrackedSubject:
         return TrackedSubject(body, points, arrays["start"], notes, rivals, arrays.get("unsure"))
 
 
-@dataclass(frozen=True)
-class SubjectOptions:
-    """Options of finding the subject.
-
-    start: 'auto', 'keypoints', 'hull' or the name of a known pose.
-    height: height of the person, m; None: estimated from key points or the visual hull.
-    girths: fit girths to the silhouettes where the body comes from key points.
-    body: the template; with `known` the subject's own body.
-    frame_rate: Hz.
-    seed: seed of random numbers.
-    known: the body is kept, and only the start pose is searched.
-    shared: the masks also show other people; then starts of several frames are compared by tracking them through all
-        frames.
-    tried: further starts that may be right, each with its frame number.
-    """
-
-    start: str = "auto"
-    height: float | None = None
-    girths: bool = True
-    body: Body | None = None
-    frame_rate: float = 25.0
-    seed: int = 0
-    known: bool = False
-    shared: bool = False
-    tried: tuple[tuple[int, Start], ...] = ()
-
-    def __post_init__(self) -> None:
-        allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
-        if self.start not in allowed:
-            raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
-
-
 def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> TrackedSubject:
     """Find body and start pose of the subject from the frames of a recording.
 
@@ -493,50 +463,38 @@ def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> 
     n_frames: number of frames.
     Raises: InputError where the start 'keypoints' has no key points; EvidenceError where no start is found.
     """
-    template = options.body or human()
-    sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
     first = frame_at(0)
     points = first.of(Keypoints)
     if options.start == "keypoints" and not points:
         raise InputError("The start 'keypoints' needs key points, and this recording has none; use the start 'hull'.")
     if points and options.start in ("keypoints", "auto"):
-        return _by_points(template, frame_at, sampled, n_frames, options)
-    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
-    if options.known:
+        return _by_points(frame_at, n_frames, options)
+    body = options.body
+    if body is not None:
         if options.tried:
-            frames = [frame_at(k) for k in range(min(n_frames, SETTINGS.first_tracked))]
-            known = {"height": template.stature, "seed": options.seed, "tried": options.tried}
-            way = best_ways(template, frames, options.frame_rate, shared=options.shared, **known).ways[0]
-            return TrackedSubject(template, None, way.poses[0], (GIVEN,))
-        prepared = prepare(first, template, np.zeros(template.skeleton.dof))
-        return TrackedSubject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
-    how = AnthropometryOptions(
-        height=options.height,
-        poses=poses,
-        seed=options.seed,
-        frames=8,
-        tracked=SETTINGS.first_tracked,
-        passes=1,
-        shared=options.shared,
-        tried=options.tried,
-    )
-    estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
+            frames = [frame_at(k) for k in range(min(n_frames, options.tracked))]
+            known = {"height": body.stature, "seed": options.seed, "tried": options.tried}
+            pose = best_ways(body, frames, options.frame_rate, shared=options.shared, **known).ways[0].poses[0]
+        else:
+            prepared = prepare(first, body, np.zeros(body.skeleton.dof))
+            pose = starts_in_frame(body, prepared, body.stature, names=options.poses)[0].pose
+        return TrackedSubject(body, None, pose, (GIVEN,))
+    estimate = estimate_subject(frame_at, n_frames, options)
     notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
     return TrackedSubject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
 
 
-def _by_points(
-    template: Body, frame_at: _FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
-) -> TrackedSubject:
+def _by_points(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> TrackedSubject:
     """Find the subject by key points, which also give the start pose; a known body is not changed."""
+    sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
     seen = [f for f in map(frame_at, sampled.tolist()) for _ in f.of(Keypoints)]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
     keypoints = pieces_of(seen, Keypoints)
-    body, poses, notes = template, None, [GIVEN]
-    if not options.known:
+    body, poses, notes = options.body, None, [GIVEN]
+    if body is None:
         points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
-        fitted = subject_from_keypoints(template, points, keypoints[0].names)
+        fitted = subject_from_keypoints(human(), points, keypoints[0].names)
         body, poses, notes = fitted.body, fitted.poses, [f"segment lengths from the key points of {len(points)} frames"]
         if options.height is not None:
             notes.append("the given height is not used: lengths come from the key points")

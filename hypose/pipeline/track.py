@@ -5,11 +5,11 @@ Here it is chosen which passes run: `CHECKED` and `AFTER_TRACKING` for several c
 
 from __future__ import annotations
 
-import contextlib
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -24,26 +24,26 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameStream, load_person
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import load_person
 from hypose.pipeline.assessment import (
     later,
     other_people_note,
     trace_of,
     with_trace,
 )
-from hypose.pipeline.input_checks import CHECKED, place_sensors, places_refuted
+from hypose.pipeline.input_checks import CHECKED, CHECKED_KEYPOINTS, place_sensors, places_refuted
 from hypose.pipeline.one_camera import IN_PICTURE, find_in_picture
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
+    SOLVED_TOGETHER,
     UNTIL_TRACKED,
     ClipState,
 )
 from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, people_frames, with_all_people
 from hypose.pipeline.run import PeopleResult, TrackResult, run_clip
-from hypose.pipeline.sources import FrameList, FrameSource
+from hypose.pipeline.sources import ChangedFrames, FrameList, FrameSource
 from hypose.pipeline.subject import TrackedSubject, load_subject
 from hypose.pipeline.track_loop import StageProgress
 from hypose.pipeline.track_management import (
@@ -124,7 +124,10 @@ def track(
                 "Several people are tracked by a preset, without evidence of your own; name their bodies in "
                 "recording.toml, and leave out body, own and the recipe."
             )
-        return _track_people(loaded, chosen, str(people), report)
+        if isinstance(loaded, FrameList):
+            return track_people(loaded, loaded.frame_rate, chosen, count=chosen_people(str(people))[0], progress=report)
+        with people_frames(loaded, chosen, report) as source:
+            return track_named(source, chosen, str(people), progress=report)
     given = {"method": method, "own": own, "progress": report}
     if isinstance(loaded, FrameList):
         body = body or given_body(chosen)
@@ -170,28 +173,38 @@ def track_person(
         body = body or given_body(options)
         return track_source(source, recording.frame_rate, options, body=body, method=method, own=own, **kept)
     points = keypoint_people(recording, source.rig) if options.looks_at == "both" else None
-    wanted = wanted_first(recording, options)
+    first = (wanted_of(recording) or [KnownPerson("person-1")])[0]
+    body = given_body(options) or first.body
+    wanted = [replace(first, height=first.height or options.height, body=body)]
     with all_people:
         return track_one_of(
             all_people, recording.frame_rate, options, wanted=wanted, points=points, command=command, **kept
         )
 
 
-def _track_people(
-    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress
-) -> PeopleResult:
-    wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
+def track_named(source: FrameStream, options: TrackOptions, people: str, **kept: Any) -> PeopleResult:
+    """Track the people of a recording and return those who are asked for.
+
+    people: 'all', a maximum number, or the name of one person in recording.toml; where no person of this name is found,
+        all are returned.
+    kept: further keyword arguments of `track_people`: results, record, resume, progress.
+    """
+    recording = source.recording
+    wanted = wanted_of(recording)
     count, only = chosen_people(people, wanted)
-    in_memory = isinstance(loaded, FrameList)
-    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options, progress)
-    with frames as source:
-        points = None
-        if isinstance(source, FrameStream) and isinstance(loaded, Recording) and options.looks_at != "silhouettes":
-            points = keypoint_people(loaded, source.rig)
-        about = {"count": count, "wanted": wanted, "points": points, "progress": progress}
-        found = track_people(source, loaded.frame_rate, options, **about)
-    kept = tuple(p for p in found.people if only in (None, p.name))
-    return found if not kept else replace(found, people=kept, others=found.others + len(found.people) - len(kept))
+    points = keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None
+    about = {"count": count, "wanted": wanted, "points": points}
+    found = track_people(source, recording.frame_rate, options, **about, **kept)
+    named, names = [w for w in wanted if w.name == only], [p.name for p in found.people]
+    total = len(names) + found.others
+    absent = [f"who of several people is {only} is not known: {why}" for why in said_of_places(named, total)]
+    if only is not None and only not in names:
+        absent.append(
+            f"{named[0].not_found}; the results are those of {', '.join(names)} instead: correct place and time of the "
+            "[[person]] in recording.toml"
+        )
+    shown = tuple(p for p in found.people if only in (None, p.name)) or found.people
+    return replace(found, people=shown, others=total - len(shown), absent="".join(absent[:1]))
 
 
 _COUNT = re.compile(r"[1-9][0-9]?")
@@ -212,15 +225,6 @@ def wanted_of(recording: Recording) -> list[KnownPerson]:
     ]
 
 
-def wanted_first(recording: Recording, options: TrackOptions) -> list[KnownPerson]:
-    """Return the prior knowledge of the one person to track: the first person of recording.toml, with the requested
-    body or height.
-    """
-    first = (wanted_of(recording) or [KnownPerson("person-1")])[0]
-    body = first.body if options.subject is None else load_subject(options.subject)
-    return [replace(first, height=first.height or options.height, body=body)]
-
-
 def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | None:
     """Load the people that a recording's key points show, where they are separated by their rays; None where there are
     none.
@@ -231,7 +235,7 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     return KeypointPeople(found.one.people, found.names, small)
 
 
-def chosen_people(text: str, wanted: Sequence[KnownPerson]) -> tuple[int | None, str | None]:
+def chosen_people(text: str, wanted: Sequence[KnownPerson] = ()) -> tuple[int | None, str | None]:
     """Parse the option --people: 'all', a number, or a name in recording.toml.
 
     Returns: maximum number of people (None: all), and the only name whose results are wanted (None: all).
@@ -271,7 +275,7 @@ def track_one_of(
     """
     found = track_people(source, frame_rate, options, count=1, wanted=wanted, points=points, folders=False, **kept)
     one, more = found.people[0], found.others
-    said = (other_people_note(more, "masks", command),) if more and not places_refuted(found.findings) else ()
+    said = () if places_refuted(found.findings) else other_people_note(more, "masks", command)
     notes = said_of_places(wanted, 1 + more)
     found_so = [*one.findings, *said, *(Finding("places", (), f"Note: {n}", severity=INFO) for n in notes)]
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:
@@ -325,9 +329,9 @@ def track_source(
     )
     if subject is not None:
         clip = replace(clip, people=(clip.at_start(subject),))
-    together, alone = CHECKED, AFTER_TRACKING
-    if not find_places:
-        together = tuple(step for step in CHECKED if step is not place_sensors)
+    together, alone = tuple(s for s in CHECKED if find_places or s is not place_sensors), AFTER_TRACKING
+    if options.whole_clip and method is None:
+        together, alone = CHECKED_KEYPOINTS, SOLVED_TOGETHER
     if options.of_picture:
         together, alone, clip = UNTIL_TRACKED, IN_PICTURE, replace(clip, find=find_in_picture)
     return run_clip(clip, together, alone)[1][0]
@@ -396,14 +400,15 @@ def _by_keypoints(
     results = kept.pop("results", None)
     for k in ranked[:count]:
         known = next((w for w in wanted if w.name == names[k]), KnownPerson(names[k]))
-        frames = PointFrames(source, points, tracks[k])
+        first = where[k].first
+        frames = ChangedFrames(source, partial(_alone, points, tracks[k]), range(first, first + len(where[k])))
         own, folder = replace(options, height=known.height or options.height), None
         if results is not None:
             folder = ResultsFolder(results.path / names[k])
         out = track_source(frames, frame_rate, own, body=known.body, results=folder, **kept)
         present = np.zeros(total, dtype=np.bool_)
-        present[frames.first : frames.first + len(out.motion)] = True
-        out = replace(out, motion=padded(out.motion, frames.first, total), name=names[k], present=present)
+        present[first : first + len(out.motion)] = True
+        out = replace(out, motion=padded(out.motion, first, total), name=names[k], present=present)
         if folder is not None:
             save_motion(out.motion, folder.motion)
         done.append(out)
@@ -411,6 +416,11 @@ def _by_keypoints(
             break
     said = *_who_is_there(done, frame_rate), *said_of_places(wanted, len(tracks))
     return PeopleResult(tuple(done), all(p.complete for p in done), said, len(tracks) - len(done))
+
+
+def _alone(points: KeypointPeople, track: int, number: int, frame: Frame) -> Frame:
+    """Return a frame with the key points of one track as the only evidence."""
+    return replace(frame, silhouettes=None, keypoints=points.of(track, number))
 
 
 def _who_is_there(people: Sequence[TrackResult], frame_rate: float) -> tuple[str, ...]:
@@ -421,26 +431,6 @@ def _who_is_there(people: Sequence[TrackResult], frame_rate: float) -> tuple[str
         if 0 < len(at) < len(p.motion):
             said.append(f"{p.name} is there from {at[0] / frame_rate:.1f} to {(at[-1] + 1) / frame_rate:.1f} s")
     return tuple(said)
-
-
-class PointFrames:
-    """Frames of a source in which one person's track lasts, with the key points of that person as the only evidence.
-
-    track: number of the track in `points`.
-    """
-
-    def __init__(self, source: FrameSource, points: KeypointPeople, track: int) -> None:
-        self._source, self._points, self._track = source, points, track
-        self.first = points.tracks[track].first
-        self._count = len(points.tracks[track])
-
-    def __len__(self) -> int:
-        return self._count
-
-    def frame(self, index: int, /) -> Frame:
-        """Return frame number index, counted from the first frame of the track."""
-        t = self.first + index
-        return replace(self._source.frame(t), silhouettes=None, keypoints=self._points.of(self._track, t))
 
 
 def padded(motion: Motion, first: int, total: int) -> Motion:

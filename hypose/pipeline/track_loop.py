@@ -70,10 +70,6 @@ class Member:
         """Whether the tracker knows where the person is: present and not lost."""
         return self.present and not self.state.lost and self.state.blind <= BLIND
 
-    def shape(self, rig: CameraRig, pose: Array) -> BodyShape:
-        """Build the person's body at a pose (D,) as the cameras see it."""
-        return shape_of(self.tracker.body, pose, rig)
-
 
 def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
     """Build a body at a pose (D,) as pinhole cameras see it."""
@@ -102,7 +98,7 @@ def step_together(
     estimates, seen = dict[int, FrameEstimate](), [frame] * count
     expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
     rigs = [s.rig for s in frame.of(Silhouettes)]
-    shapes = [m.shape(rig, q) for rig in rigs for m, q in zip(members, expected, strict=True)]
+    shapes = [shape_of(m.tracker.body, q, r) for r in rigs for m, q in zip(members, expected, strict=True)]
     done = np.zeros(count, dtype=np.bool_)
     for i in ((frame.index + k) % max(count, 1) for k in range(count)):
         m = after[i]
@@ -120,7 +116,7 @@ def step_together(
         state, estimates[i] = m.tracker.step(m.state, own)
         after[i], seen[i], done[i] = replace(m, state=state), own, True
         for rig in rigs if not done.all() else ():
-            shapes[i] = after[i].shape(rig, estimates[i].pose)
+            shapes[i] = shape_of(m.tracker.body, estimates[i].pose, rig)
     return after, [estimates[i] for i in range(count)], seen
 
 
@@ -132,28 +128,6 @@ _LOG = logging.getLogger(__name__)
 
 StageProgress = Callable[[str, int, int], None]
 """Called often as progress(stage, done, total); raising KeyboardInterrupt in it stops the run and keeps its work."""
-
-
-class Deferred:
-    """Progress function that holds back a KeyboardInterrupt until `settle` is called.
-
-    Why: work that has begun is finished first, so a resumed run continues from the same state.
-    """
-
-    def __init__(self, progress: StageProgress) -> None:
-        self._progress, self._stopped = progress, False
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """Report the progress of a stage; see StageProgress."""
-        try:
-            self._progress(stage, done, total)
-        except KeyboardInterrupt:
-            self._stopped = True
-
-    def settle(self) -> None:
-        """Raise the KeyboardInterrupt that was held back, if there was one."""
-        if self._stopped:
-            raise KeyboardInterrupt
 
 
 def tracker_of(
@@ -273,7 +247,7 @@ class TrackingSession:
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
-    held: progress function for the work of `manager`; an interruption during this work takes effect after the frame.
+    progress: called with stage, done, total. A KeyboardInterrupt that it raises takes the frame back that is tracked.
     candidates: (4,) per possible new person of the last look: place (2,) m, failed fits, frame of the next fit.
     stopped: whether the user stopped `track`.
     """
@@ -284,7 +258,7 @@ class TrackingSession:
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict)
     every: int = 25
-    held: Deferred = field(default_factory=lambda: Deferred(lambda stage, done, total: None))
+    progress: StageProgress = lambda stage, done, total: None
     candidates: list[Array] = field(default_factory=list)
     stopped: bool = False
     _judging: list[Future[list[FrameEstimate]]] = field(default_factory=list)
@@ -294,15 +268,13 @@ class TrackingSession:
         """Number of tracked frames; 0 without people."""
         return len(self.people[0].estimates) if self.people else 0
 
-    def track(
-        self, frames: Iterator[Frame], last: Frame | None, total: int, progress: StageProgress
-    ) -> HyposeError | None:
+    def track(self, frames: Iterator[Frame], last: Frame | None, total: int) -> HyposeError | None:
         """Track the frames that are not done, up to `total` frames.
 
+        A KeyboardInterrupt that `progress` raises ends tracking and keeps the frames that are done; before the first
+        one it is raised.
         frames: the frames from number `done` on.
         last: the frame before; None: there is none.
-        progress: called with "track", done, total. A KeyboardInterrupt that it raises ends tracking and keeps the
-            frames that are done; before the first one it is raised.
         Returns: the error that ended tracking after some frames, where there is a checkpoint that keeps them; None
             where all frames are done or the user stopped. Without a checkpoint the error is raised.
 
@@ -313,17 +285,16 @@ class TrackingSession:
         with ThreadPoolExecutor(1, thread_name_prefix="judge") as pool:
             try:
                 for t in range(saved, total):
-                    progress("track", t, total)
+                    self.progress("track", t, total)
                     frame = next(frames)
                     with self._all_or_nothing():
                         self.step(frame, last, pool)
-                    self.held.settle()
                     last = frame
                     # each checkpoint holds all frames, so it is written ever less often: the total work stays linear
                     if self.checkpoint is not None and t + 1 - saved >= max(self.every, saved // 20) and t + 1 < total:
                         self.save(self.checkpoint)
                         saved = t + 1
-                progress("track", total, total)
+                self.progress("track", total, total)
             except KeyboardInterrupt:
                 if not self.done:
                     raise

@@ -23,8 +23,8 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import TrackedPerson, shape_of
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
-from hypose.tracking.part_colours import appearance_in, no_appearance
-from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.part_colours import NO_CLOTHES, appearance_in, likeness
+from hypose.tracking.start_search import starts_in_frame
 from hypose.tracking.tracker import FrameEstimate
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class KnownPerson:
     @property
     def early(self) -> bool:
         """Whether the place is too long before the first frame to identify the person."""
-        return self.place is not None and self.time < -SETTINGS.tracked_early_s
+        return self.place is not None and self.time < -SETTINGS.people_start_s
 
     @property
     def not_found(self) -> str:
@@ -237,7 +237,7 @@ class KeypointPeople:
         Returns: number of the track and its key points; None where no track is near.
         """
         away = [float(np.linalg.norm(t.place(frame)[:2] - place)) for t in self.tracks]
-        free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.points_m]
+        free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.people_near_m]
         if not free:
             return None
         best = so_far if so_far in free else min(free, key=lambda k: away[k])
@@ -284,22 +284,16 @@ def update_appearance(
         if not frame.of(Colours) or p not in there:
             continue
         w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
-        for q in near:
-            _remember(p, q)
+        for q in near:  # the frame in which they were nearest so far
+            if q.name not in w.met or _apart(p, q) <= _apart(p, q, w.met[q.name]):
+                w.met[q.name] = len(p.estimates) - 1
         if near:
-            w.lately, w.looks = no_appearance(), 0
+            w.lately, w.looks = NO_CLOTHES, 0
             continue
         w.lately, w.looks = w.lately + appearance_in(p.subject.body, p.estimates[-1].pose, frame), w.looks + 1
         if not w.met:
             w.settle()
     return _exchanged(there)
-
-
-def _remember(p: TrackedPerson, q: TrackedPerson) -> None:
-    """Record that two people met, and the frame in which they were nearest so far."""
-    now, met = len(p.estimates) - 1, p.appearance.met
-    if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
-        met[q.name] = now
 
 
 def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, TrackedPerson, int]]:
@@ -310,8 +304,8 @@ def _exchanged(there: Sequence[TrackedPerson]) -> list[tuple[TrackedPerson, Trac
             b = q.appearance
             if min(a.looks, b.looks) < SETTINGS.wardrobe_looks or not (q.name in a.met and p.name in b.met):
                 continue
-            own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
-            other = a.worn.likeness(b.lately) + b.worn.likeness(a.lately)
+            own = likeness(a.worn, a.lately) + likeness(b.worn, b.lately)
+            other = likeness(a.worn, b.lately) + likeness(b.worn, a.lately)
             if other > own + SETTINGS.wardrobe_clearly:  # False where one of them has not been seen (NaN)
                 out.append((p, q, min(a.met[q.name], b.met[p.name])))
                 a.lately, b.lately = b.lately, a.lately
@@ -347,7 +341,8 @@ def swap_identities(
 
 def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
     """Return what each person whose place is known covers in the views."""
-    return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
+    known = [(p.member.tracker.body, p.estimates[-1].pose) for p in people if p.member.sure]
+    return [Other(shape_of(body, pose, silhouettes.rig)) for body, pose in known]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
@@ -404,10 +399,11 @@ def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, 
     kept: dict[str, TrackedPerson] = {}
     for p in people:
         for name, q in kept.items():
-            away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
+            away = float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))  # between the roots
+            rest = [o for o in people if o is not p and o is not q]
             alone = (
                 min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p)))
-                if away < SETTINGS.newcomer_reach
+                if away < SETTINGS.people_near_m
                 else 1.0
             )
             if away < SETTINGS.newcomer_one_place_m or alone < SETTINGS.newcomer_nothing:
@@ -416,11 +412,6 @@ def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, 
         else:
             kept[p.name] = p
     return {name: p.subject for name, p in kept.items()}
-
-
-def _away(p: TrackedPerson, q: TrackedPerson) -> float:
-    """Compute the distance between the roots of two people at their starts, m."""
-    return float(np.linalg.norm(p.subject.start[:3] - q.subject.start[:3]))
 
 
 def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -> float:
@@ -439,11 +430,11 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[TrackedPerson]) -> l
 
     found: possible people in the hull.
     people: tracked people.
-    Returns: the tall ones, and the others that stand farther than SETTINGS.newcomer_reach from every tracked person
+    Returns: the tall ones, and the others that stand farther than SETTINGS.people_near_m from every tracked person
         whose place is known.
     """
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
-    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.people_near_m for q in at)]
 
 
 def candidate_evidence(
@@ -471,7 +462,7 @@ def found_again(p: TrackedPerson, own: Frame) -> tuple[PreparedFrame, Array]:
     """
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
-    return prepared, start_from_hull(body, prepared).pose
+    return prepared, starts_in_frame(body, prepared, body.stature)[0].pose
 
 
 def returned(
@@ -481,9 +472,7 @@ def returned(
 
     The following is compared. Place: no person walks faster than SETTINGS.newcomer_walking from where they were last
     seen. Clothes, where pictures show them: not too different. Body: about as tall as the hull. Of several, the one
-    whose clothes are most
-            alike
-            and whose body overlaps the masks best.
+    whose clothes are most alike and whose body overlaps the masks best.
     Returns: the person and the pose (D,) now; None: none of them.
     """
     best: tuple[float, TrackedPerson, Array] | None = None
@@ -492,13 +481,13 @@ def returned(
             continue
         seen = p.last_seen
         if seen is not None:
-            reach = SETTINGS.newcomer_reach + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
+            reach = SETTINGS.people_near_m + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
             known, seen_now = p.appearance, appearance_in(p.subject.body, pose, own)
-            like = (known.worn if known.met else known.worn + known.lately).likeness(seen_now)
+            like = likeness(known.worn if known.met else known.worn + known.lately, seen_now)
             like = like if np.isfinite(like) else 1.0  # the clothes of one of them are not known
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
@@ -506,7 +495,7 @@ def returned(
     if best is None:
         return None
     higher = person.hull.height - best[1].subject.body.stature
-    return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
+    return (best[1], best[2]) if SETTINGS.newcomer_higher_m[0] < higher < SETTINGS.newcomer_higher_m[1] else None
 
 
 def identity_switches(
@@ -524,10 +513,10 @@ def identity_switches(
         if not q.member.sure:
             continue
         at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(SETTINGS.newcomer_drawn_s * frame_rate)) :]])
-        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.newcomer_reach / 2)
+        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.people_near_m / 2)
         frames = len(at) - 1 - near[-1] if len(near) else 0
         if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(
-            SETTINGS.newcomer_reach, SETTINGS.newcomer_walking * frames / frame_rate
+            SETTINGS.people_near_m, SETTINGS.newcomer_walking * frames / frame_rate
         ):
             return q, len(q.estimates) - int(frames)
     return None

@@ -88,7 +88,7 @@ class TrackOptions:
 
     def __post_init__(self) -> None:
         for option in declared(TrackOptions):
-            option.check(option.of(self), option.name)
+            option.check(getattr(self, option.name), option.name)
         self.preset.check(self.recipe, self.looks_at, self.own)
 
     @property

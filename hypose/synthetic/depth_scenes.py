@@ -33,40 +33,29 @@ left.
 _PATTERN, _EMPTY, _FRAME = range(3)
 
 
-@dataclass(frozen=True)
-class SensorFaults:
-    """Faults of a depth camera.
-
-    constant_m, square: the sd of a value is constant_m + square z^2, m.
-    pattern_m: sd of the fixed smooth pattern, m.
-    flying: share of the pixels on an edge whose value lies between both sides; half of them are holes.
-    multipath: share of the surrounding depth that is mixed into a value.
-    grazing: cosine between ray and normal below which holes begin.
-    holes: share of pixels that are holes at random.
-    hair: share of the pixels on the crown of the head that are holes.
-    disturbed: share of the rows of a frame that each other sensor disturbs; there noise is three times as large and a
-        tenth of the pixels are holes.
-    near_m, far_m: range, m.
-    """
-
-    constant_m: float = 0.0015
-    square: float = 0.0012
-    pattern_m: float = 0.003
-    flying: float = 0.6
-    multipath: float = 0.02
-    grazing: float = 0.2
-    holes: float = 0.003
-    hair: float = 0.25
-    disturbed: float = 0.05
-    near_m: float = 0.4
-    far_m: float = 5.5
+_CONSTANT_M, _SQUARE = 0.0015, 0.0012
+"""The sd of a value is _CONSTANT_M + _SQUARE z^2, m."""
+_PATTERN_M = 0.003
+"""Sd of the fixed smooth pattern, m."""
+_MULTIPATH = 0.02
+"""Share of the surrounding depth that is mixed into a value."""
+_FLYING, _HOLES, _HAIR = 0.6, 0.003, 0.25
+"""Share of the pixels on an edge whose value lies between both sides (half of them are holes), and shares of holes: of
+all pixels at random, and of those on the crown of the head."""
+_GRAZING = 0.2
+"""Cosine between ray and normal below which holes begin."""
+_DISTURBED = 0.05
+"""Share of the rows of a frame that each other sensor disturbs; there noise is three times as large and a tenth of the
+pixels are holes."""
+_NEAR_M, _FAR_M = 0.4, 5.5
+"""Range of a sensor, m."""
 
 
-def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRig:
+def depth_rig(name: str) -> CameraRig:
     """Make a rig of depth sensors by name.
 
-    name: depth-1 (in front), depth-2 (front and side), depth-3 (all round), or depth-N up to 8, in a ring.
-    distance, height: distance and height of the sensors from the centre and above the floor, m.
+    name: depth-1 (in front), depth-2 (front and side), depth-3 (all round), or depth-N up to 8, in a ring; all stand
+        2.7 m from the centre, 1.2 m above the floor.
     Raises: InputError for another name.
     """
     count = name.removeprefix("depth-")
@@ -76,7 +65,7 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
     azimuths = AZIMUTHS.get(n) or tuple(360.0 * k / n for k in range(n))
     cameras = []
     for k, a in enumerate(np.radians(azimuths)):
-        eye = [distance * np.sin(a), -distance * np.cos(a), height]
+        eye = [2.7 * np.sin(a), -2.7 * np.cos(a), 1.2]
         cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, KINECT_SIZE))
     return CameraRig(tuple(cameras))
 
@@ -111,7 +100,6 @@ class DepthScene(OfPerformance):
     subject: body of the person (dressed).
     performance: motion of the person.
     rig: the sensors, pinhole.
-    faults: faults of the sensors.
     seed: seed of all random numbers.
     furniture: boxes that may hide the person: x, y of the middle, width along x, along y, height, m.
     others: further people with their motions.
@@ -121,7 +109,6 @@ class DepthScene(OfPerformance):
     subject: SyntheticSubject
     performance: Performance
     rig: CameraRig
-    faults: SensorFaults = SensorFaults()
     seed: int = 0
     furniture: tuple[tuple[float, float, float, float, float], ...] = ()
     others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
@@ -144,24 +131,18 @@ class DepthScene(OfPerformance):
         vertices = self.subject.skin(p.rotations[index], p.root[index])
         clean, person = self.clean_map(view, index)
         rng = np.random.default_rng([self.seed, _FRAME, view, index])
-        hair = np.zeros(clean.shape, dtype=np.bool_)
-        if self.faults.hair > 0:
-            head = p.joints[index, 4]
-            crown = vertices[(np.linalg.norm(vertices - head, axis=1) < 0.25) & (vertices[:, 2] > head[2] + 0.08)]
-            if len(crown):
-                uv = camera.project_pinhole(crown)
-                hull = cv2.convexHull(np.rint(uv).astype(np.int32))
-                drawn = np.zeros(clean.shape, np.uint8)
-                cv2.fillConvexPoly(drawn, np.asarray(hull), 1)
-                hair = (drawn > 0) & (person > 0)
-        return sensed(clean, camera, self.faults, self._patterns[view], rng, len(self.rig) - 1, hair)
+        head, drawn = p.joints[index, 4], np.zeros(clean.shape, np.uint8)
+        crown = vertices[(np.linalg.norm(vertices - head, axis=1) < 0.25) & (vertices[:, 2] > head[2] + 0.08)]
+        if len(crown):
+            hull = cv2.convexHull(np.rint(camera.project_pinhole(crown)).astype(np.int32))
+            cv2.fillConvexPoly(drawn, np.asarray(hull), 1)
+        hair = (drawn > 0) & (person > 0)
+        return sensed(clean, camera, self._patterns[view], rng, len(self.rig) - 1, hair)
 
     def empty_map(self, view: int, index: int) -> DepthMap:
         """Render the empty room from sensor `view` with its faults: (h, w) m, 0 = hole."""
         rng = np.random.default_rng([self.seed, _EMPTY, view, index])
-        return sensed(
-            self._rooms[view], self.rig[view], self.faults, self._patterns[view], rng, len(self.rig) - 1, None
-        )
+        return sensed(self._rooms[view], self.rig[view], self._patterns[view], rng, len(self.rig) - 1, None)
 
     @cached_property
     def _rooms(self) -> list[DepthMap]:
@@ -175,7 +156,7 @@ class DepthScene(OfPerformance):
         for c, camera in enumerate(self.rig):
             rng = np.random.default_rng([self.seed, _PATTERN, c + 1])
             shape = (camera.size[1], camera.size[0])
-            out.append((self.faults.pattern_m / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
+            out.append((_PATTERN_M / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
         return out
 
 
@@ -201,7 +182,6 @@ def depth_scene(
 def sensed(
     clean: DepthMap,
     camera: Camera,
-    faults: SensorFaults,
     pattern: DepthMap,
     rng: np.random.Generator,
     others: int,
@@ -211,7 +191,6 @@ def sensed(
 
     clean: (h, w) m without faults.
     camera: camera of the sensor.
-    faults: faults to add.
     pattern: (h, w) m, fixed pattern of the sensor.
     others: number of other sensors that disturb it.
     hair: (h, w) pixels of hair, or None.
@@ -222,32 +201,30 @@ def sensed(
     kernel = np.ones((3, 3), np.uint8)
     near, far = cv2.erode(z, kernel), cv2.dilate(z, kernel)
     edge = far - near > 0.08
-    out = z + pattern * (z / 2.5) + np.float32(0.4 * faults.pattern_m) * np.sin(z * np.float32(2 * np.pi / 0.75))
-    if faults.multipath > 0:
-        round_about = cv2.boxFilter(np.clip(z, near.min(), faults.far_m), -1, (21, 21))
-        out = out + np.float32(faults.multipath) * np.clip(round_about - z, -0.1, 0.4)
+    out = z + pattern * (z / 2.5) + np.float32(0.4 * _PATTERN_M) * np.sin(z * np.float32(2 * np.pi / 0.75))
+    round_about = cv2.boxFilter(np.clip(z, near.min(), _FAR_M), -1, (21, 21))
+    out = out + np.float32(_MULTIPATH) * np.clip(round_about - z, -0.1, 0.4)
     # the cosine between ray and normal, from the smaller of the two one-sided differences of depth
     ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
     ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
     slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
     cosine = (1 / np.sqrt(1 + slope**2)).astype(np.float32)
-    sd = (faults.constant_m + faults.square * z * z) / np.maximum(cosine, 0.15)
+    sd = (_CONSTANT_M + _SQUARE * z * z) / np.maximum(cosine, 0.15)
     wild = np.ones((h, w), np.float32)
-    gone = rng.random((h, w), dtype=np.float32) < faults.holes
+    gone = rng.random((h, w), dtype=np.float32) < _HOLES
     for _ in range(others):
-        rows = rng.random((h, 1), dtype=np.float32) < faults.disturbed  # beats fall on rows
+        rows = rng.random((h, 1), dtype=np.float32) < _DISTURBED  # beats fall on rows
         wild = np.where(rows, 3.0, wild).astype(np.float32)
         gone |= rows & (rng.random((h, w), dtype=np.float32) < 0.1)
     out = out + sd * wild * rng.standard_normal((h, w), dtype=np.float32)
-    if faults.grazing > 0:
-        gone |= rng.random((h, w), dtype=np.float32) > np.clip(cosine / faults.grazing, 0, 1)
+    gone |= rng.random((h, w), dtype=np.float32) > np.clip(cosine / _GRAZING, 0, 1)
     if hair is not None:
-        gone |= hair & (rng.random((h, w), dtype=np.float32) < faults.hair)
-    mixed = edge & (rng.random((h, w), dtype=np.float32) < faults.flying)
+        gone |= hair & (rng.random((h, w), dtype=np.float32) < _HAIR)
+    mixed = edge & (rng.random((h, w), dtype=np.float32) < _FLYING)
     share = rng.random((h, w), dtype=np.float32)
     out = np.where(mixed, share * near + (1 - share) * far, out)
     gone |= mixed & (rng.random((h, w), dtype=np.float32) < 0.5)
-    gone |= (out < faults.near_m) | (out > faults.far_m)
+    gone |= (out < _NEAR_M) | (out > _FAR_M)
     return np.where(gone, 0, np.rint(1000 * out) / 1000).astype(np.float32)
 
 

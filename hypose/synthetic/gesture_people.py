@@ -7,16 +7,15 @@ hypose/assets/LICENSE-assets.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hypose.body.default_body import asset_arrays
-from hypose.body.joint_angles import frame_of
 from hypose.body.skin_weights import vertex_normals
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array, frame_of, so3_exp, unit
+from hypose.synthetic.subjects import JointedPerson, people_arrays
 
 SIDES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -43,12 +42,6 @@ _THUMB: dict[str, tuple[float, float, float]] = {
 }
 HAND_SHAPES = tuple(FLEXION)
 _CLOTH_M = 0.008
-
-
-def unit(v: ArrayLike) -> Array:
-    """Normalise a vector (3,) to length 1."""
-    a = np.asarray(v, dtype=np.float64)
-    return a / np.linalg.norm(a)
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
@@ -100,29 +93,17 @@ class ArmGoal:
 
 
 @dataclass(frozen=True)
-class GesturePerson:
+class GesturePerson(JointedPerson):
     """Body of a person with fingers, V vertices and 51 joints.
 
-    name: name of the person.
-    joint_names, parents: names and parents of the joints.
-    vertices: (V, 3) float32 m at rest, in the body's frame (origin at the pelvis, x = the person's left, y = backward,
-        z = up).
-    joints: (51, 3) m at rest, in the same frame.
-    faces: (F, 3).
-    weights: (V, 51) float32 skinning weights.
+    joint_names: names of the joints.
     ends: (2, 5, 3) m, finger tips of the left and right hand.
     thumbs: (2, 2, 8) pose of the left and right thumb that touches the index finger ("ok") or lies on the folded middle
         finger ("fist"): rotation vector of its root and two flexions, rad, and logarithms of the factors of the index
         finger's three flexions (0 for "fist"). Fitted by scripts/bake_gesture_people.py.
     """
 
-    name: str
     joint_names: tuple[str, ...]
-    parents: tuple[int, ...]
-    vertices: NDArray[np.float32]
-    joints: Array
-    faces: NDArray[np.int32]
-    weights: NDArray[np.float32]
     ends: Array
     thumbs: Array
 
@@ -177,33 +158,16 @@ def load_people() -> tuple[GesturePerson, ...]:
     """Load the people, dressed: clothes stand off by up to 1.5 _CLOTH_M (another share for each), but not on head
     and hands.
     """
-    data = asset_arrays("gesture_people.npz")
-    names = tuple(str(n) for n in data["joint_names"])
-    index, weight = data["skin_index"].astype(int), data["skin_weight"].astype(np.float32)
-    weights = np.zeros((len(index), len(names)), np.float32)
-    for k in range(index.shape[1]):
-        np.add.at(weights, (np.arange(len(index)), index[:, k]), weight[:, k])
+    data, people = people_arrays("gesture_people.npz")
+    names, out = tuple(str(n) for n in data["joint_names"]), []
     bare = [i for i, n in enumerate(names) if n == "head" or n.endswith(("_wrist", "_1", "_2", "_3"))]
-    dressed = np.clip(1 - 1.5 * weights[:, bare].sum(1), 0, 1)
-    faces = data["faces"].astype(np.int32)
-    out, vertices = [], np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])
-    for k, name in enumerate(data["names"].tolist()):
-        v = vertices[k]
+    for k, fields in enumerate(people):
+        fingers = {"ends": data["finger_ends"][k].astype(np.float64), "thumbs": data["thumbs"][k]}
+        naked = GesturePerson(*fields, joint_names=names, **fingers)
+        dressed = np.clip(1 - 1.5 * naked.weights[:, bare].sum(1), 0, 1)
         thickness = _CLOTH_M * (0.4 + 1.1 * ((k * 7) % 18) / 17)
-        v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
-        out.append(
-            GesturePerson(
-                str(name),
-                names,
-                tuple(int(p) for p in data["parents"]),
-                v.astype(np.float32),
-                data["joints"][k].astype(np.float64),
-                faces,
-                weights,
-                data["finger_ends"][k].astype(np.float64),
-                data["thumbs"][k],
-            )
-        )
+        cloth = (thickness * dressed)[:, None] * vertex_normals(naked.vertices, naked.faces)
+        out.append(replace(naked, vertices=naked.vertices + cloth))
     return tuple(out)
 
 
@@ -225,13 +189,11 @@ class Puppet:
         """Compute the rotations (51, 3, 3) and centres (51, 3), m, of all joints in the present pose."""
         if self._placed is not None:
             return self._placed
-        p = self.person
-        r, c = np.empty((len(p.parents), 3, 3)), np.empty((len(p.parents), 3))
-        for j, parent in enumerate(p.parents):
-            r[j] = self._turned[j] if j in self._turned else r[parent]
-            c[j] = p.joints[j] if parent < 0 else c[parent] + r[parent] @ (p.joints[j] - p.joints[parent])
-        self._placed = r, c
-        return r, c
+        r = np.empty((len(self.person.parents), 3, 3))
+        for j, parent in enumerate(self.person.parents):
+            r[j] = self._turned.get(j, r[parent])
+        self._placed = r, self.person.place_joints(r, self.person.joints[0])
+        return self._placed
 
     def at(self, name: str) -> Array:
         """Return the centre (3,) m of a joint."""
@@ -295,14 +257,9 @@ class Puppet:
         for q in range(3):
             self.set(f"{side}_thumb_{q + 1}", r_hand @ shape.thumb[q])
 
-    def skin(self) -> NDArray[np.float32]:
+    def skin(self) -> Array:
         """Compute the vertices (V, 3) m by linear blend skinning."""
-        r, c = self.place()
-        moves = np.concatenate([r.reshape(-1, 9), c - np.einsum("jab,jb->ja", r, self.person.joints)], 1)
-        m = self.person.weights @ moves.astype(np.float32)
-        v = self.person.vertices
-        out = m[:, 0:9:3] * v[:, :1] + m[:, 1:9:3] * v[:, 1:2] + m[:, 2:9:3] * v[:, 2:] + m[:, 9:]
-        return out.astype(np.float32, copy=False)
+        return self.person.skin(self.place()[0], self.person.joints[0])
 
 
 def thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
@@ -456,8 +413,7 @@ def lips(person: GesturePerson) -> Array:
     head = person.joint("head")
     v = person.vertices
     front = v[(np.abs(v[:, 0]) < 0.01) & (v[:, 2] > head[2] - 0.08) & (v[:, 2] < head[2] + 0.2)]
-    nose = front[np.argmin(front[:, 1])].astype(np.float64)
-    return nose + [0, 0.012, -0.04]
+    return front[np.argmin(front[:, 1])] + [0, 0.012, -0.04]
 
 
 def gesture(
@@ -579,11 +535,8 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
     if name == "cross":  # where the front forearm passes before the other
         a, b = puppet.at(f"{lead}_elbow"), puppet.at(f"{lead}_wrist")
         c, d = puppet.at(f"{other}_elbow"), puppet.at(f"{other}_wrist")
-        u, v, w = b - a, d - c, a - c
-        uu, uv, vv, uw, vw = u @ u, u @ v, v @ v, u @ w, v @ w
-        t = float(np.clip((uv * vw - vv * uw) / max(uu * vv - uv * uv, 1e-9), 0, 1))
-        s = float(np.clip((uu * vw - uv * uw) / max(uu * vv - uv * uv, 1e-9), 0, 1))
-        return min((a + t * u, c + s * v), key=lambda p: p[1]) + chest @ np.array([0, -0.03, 0])
+        t, s = np.clip(np.linalg.lstsq(np.stack([b - a, c - d], 1), c - a, rcond=None)[0], 0, 1)
+        return min((a + t * (b - a), c + s * (d - c)), key=lambda p: p[1]) + chest @ np.array([0, -0.03, 0])
     if name == "silence":
         return puppet.carried("head", lips(puppet.person)) + chest @ np.array([0, -0.02, 0])
     if name == "ok":

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from hypose.body.default_body import JOINT_NAMES, PARENTS
-from hypose.geometry import Array, rotation_between, so3_exp, so3_log
+from hypose.geometry import Array, rotation_between, so3_exp, so3_log, unit
 from hypose.synthetic.subjects import SyntheticSubject
 
 CHANNELS = (
@@ -362,22 +362,15 @@ def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[A
     """
     d = np.linalg.norm(to_ankle, axis=1)
     d = np.clip(d, abs(thigh - shank) * 1.05 + 0.02, (thigh + shank) * 0.99999)
-    axis = to_ankle / np.linalg.norm(to_ankle, axis=1, keepdims=True)
-    ahead = forward - (forward * axis).sum(1, keepdims=True) * axis
-    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    axis = unit(to_ankle)
+    ahead = unit(forward - (forward * axis).sum(1, keepdims=True) * axis)
     at_hip = np.arccos(np.clip((thigh**2 + d**2 - shank**2) / (2 * thigh * d), -1, 1))
     knee = thigh * (np.cos(at_hip)[:, None] * axis + np.sin(at_hip)[:, None] * ahead)
     down_thigh = knee / thigh
     down_shank = (d[:, None] * axis - knee) / shank
-    left = np.cross(-axis, ahead)
-
-    def frame(down: Array) -> Array:
-        z = -down
-        x = left / np.linalg.norm(left, axis=1, keepdims=True)
-        y = np.cross(z, x)
-        return np.asarray(np.stack([x, y, z], 2), dtype=np.float64)
-
-    return frame(down_thigh), frame(down_shank)
+    left = unit(np.cross(-axis, ahead))
+    frames = [np.stack([left, np.cross(left, down), -down], 2) for down in (down_thigh, down_shank)]
+    return frames[0].astype(np.float64), frames[1].astype(np.float64)
 
 
 def moved(p: Performance, yaw: float = 0.0, shift: tuple[float, float] = (0.0, 0.0)) -> Performance:

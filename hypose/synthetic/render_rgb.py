@@ -16,14 +16,13 @@ from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
 from hypose.compute.parts import covered
 from hypose.compute.zbuffer import interpolate, rasterize
-from hypose.geometry import Array, Image
+from hypose.geometry import Array, Image, unit
 from hypose.synthetic.subjects import SyntheticSubject
 
 Floats = NDArray[np.float32]
 
-LIGHT = np.array([0.42, -0.28, 0.86])
+LIGHT = unit([0.42, -0.28, 0.86])
 """Direction towards the main light, world."""
-LIGHT = LIGHT / np.linalg.norm(LIGHT)
 SHADOW_DEPTH = 0.42
 """Share of the floor's brightness that comes from the main light, which a full shadow removes."""
 
@@ -133,9 +132,7 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
         depth, face, bary = rasterize(camera.project(vertices), camera.depths(vertices), faces, camera.size)
         drawn = face >= 0
         a, b, c = (vertices[faces[:, k]] for k in range(3))
-        n = np.cross(b - a, c - a)
-        n /= np.linalg.norm(n, axis=1, keepdims=True)
-        shade = 0.55 + 0.45 * np.clip(n @ LIGHT, 0, 1)
+        shade = 0.55 + 0.45 * np.clip(unit(np.cross(b - a, c - a)) @ LIGHT, 0, 1)
         at = interpolate(face[drawn], bary[drawn], faces, vertices)
         grain = (np.mod(at[:, :2] * [50, 250], 255)).astype(int)
         wood = 1 + 0.12 * middle[grain[:, 1], grain[:, 0]]
@@ -199,9 +196,7 @@ def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only:
             (v[:, 2] > low + 0.78 * (high - low)) | ((v[:, 1] > middle) & (v[:, 2] > low + 0.3 * (high - low)))
         )
         color[hairy] = hair
-    direction = rng.normal(size=(3, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    pattern = direction * (2 * np.pi / np.array([[0.05], [0.11], [0.23]]))
+    pattern = unit(rng.normal(size=(3, 3))) * (2 * np.pi / np.array([[0.05], [0.11], [0.23]]))
     return Outfit(color.astype(np.float32), weave.astype(np.float32), pattern)
 
 
@@ -295,9 +290,7 @@ def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) ->
     gloss: grey levels of the highlight where the surface mirrors the main light.
     Returns: (V,).
     """
-    to_eye = camera.position - vertices
-    half = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True) + LIGHT
-    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    half = unit(unit(camera.position - vertices) + LIGHT)
     mirrored = np.clip((normals * half).sum(1), 0, 1) ** _SHARPNESS
     ambient, direct, sky = _LIT
     shade = ambient + direct * np.clip(normals @ LIGHT, 0, None) + sky * normals[:, 2]

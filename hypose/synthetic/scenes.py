@@ -24,7 +24,7 @@ from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
-from hypose.geometry import Array, Image, Mask, se3, so3_exp
+from hypose.geometry import Array, Image, Mask, frame_of, rotation_between, se3, so3_exp, unit
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import OfPerformance, Performance, moved
 from hypose.synthetic.render_rgb import (
@@ -171,10 +171,7 @@ def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> Ca
         r, p = c.camera_from_world[:3, :3], c.position
         new = p + rng.normal(0, relative * np.linalg.norm(target - p), 3)
         # turn it so that the centre stays in sight, up to the aiming error
-        a, b = r @ (target - p), r @ (target - new)
-        axis = np.cross(b, a)
-        sine = np.linalg.norm(axis) / (np.linalg.norm(a) * np.linalg.norm(b))
-        aim = so3_exp(axis / max(float(np.linalg.norm(axis)), 1e-12) * np.arcsin(min(float(sine), 1.0)))
+        aim = rotation_between(r @ (target - new), r @ (target - p))
         wobble = np.append(rng.normal(0, relative * 0.5 * c.size[0] / c.K[0, 0], 2), 0.0)
         r = so3_exp(wobble) @ aim @ r
         out.append(replace(c, K=k, camera_from_world=se3(r, -r @ new)))
@@ -278,11 +275,9 @@ def look_at(
     distortion: (5,) distortion of the lens, or None.
     """
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
-    forward = (t - c) / np.linalg.norm(t - c)
-    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    r = np.stack([right, np.cross(forward, right), forward])
+    upwards = abs(unit(t - c)[2]) < 0.999
+    forward, up, right = frame_of(t - c, [0.0, 0.0, 1.0] if upwards else [0.0, 1.0, 0.0]).T
+    r = np.stack([right, -up, forward])
     k = np.array([[focal_px, 0, (size[0] - 1) / 2], [0, focal_px, (size[1] - 1) / 2], [0, 0, 1.0]])
     return Camera(name, k, np.zeros(5) if distortion is None else distortion, se3(r, -r @ c), size)
 

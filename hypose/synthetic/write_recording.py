@@ -19,17 +19,14 @@ from hypose.calibration.boards import Board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import openpose_document
-from hypose.geometry import Array, Image, se3, transform
-from hypose.io.file_names import file_name
-from hypose.io.files import atomic_path, write_text
+from hypose.geometry import Array, Image, se3, transform, unit
+from hypose.io.files import atomic_path, file_name, write_text
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
-from hypose.synthetic.motions import act
 from hypose.synthetic.render_rgb import LIGHT
-from hypose.synthetic.scenes import Scene, keypoint_detections
-from hypose.synthetic.subjects import dress, load_subjects
+from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
 
 # Function that is called with the numbers of steps done and in total.
 _Progress = Callable[[int, int], None]
@@ -162,12 +159,9 @@ def walking_scene(
     seed: seed of all random numbers.
     clothing_m: thickness of the clothes, m.
     """
-    known = load_subjects()
-    body = known[subject or sorted(known)[seed % len(known)]]
-    body = dress(body, clothing_m, np.random.default_rng([seed, 0])) if clothing_m > 0 else body
-    performance = act(motion, body, seconds, frame_rate, np.random.default_rng([seed, 1]))
-    heading = to_profile(len(performance), seed)
-    return depth_scene(turning(performance, body, heading), body, depth_rig(sensors), seed=seed)
+    scene = make_scene(motion, subject, seconds=seconds, frame_rate=frame_rate, seed=seed, clothing_m=clothing_m)
+    heading = to_profile(len(scene), seed)
+    return depth_scene(turning(scene.performance, scene.subject, heading), scene.subject, depth_rig(sensors), seed=seed)
 
 
 def write_depth_scene(scene: DepthScene, folder: str | Path, progress: _Progress = lambda done, total: None) -> Path:
@@ -325,8 +319,7 @@ def carried_board(board: Board, rng: np.random.Generator) -> Array:
     for _ in range(_STATIONS):
         facing, up = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-5, 45))
         z = -np.array([np.cos(facing) * np.cos(up), np.sin(facing) * np.cos(up), np.sin(up)])  # into the board
-        x = np.cross([0, 0, 1.0], z)
-        x /= np.linalg.norm(x)
+        x = unit(np.cross([0, 0, 1.0], z))
         upright = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1))
         turns.append(upright * Rotation.from_rotvec([0, 0, rng.normal(0, 0.4)]))
         places.append([*rng.uniform(-1.3, 1.3, 2), rng.uniform(0.4, 2.1)])

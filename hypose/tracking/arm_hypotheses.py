@@ -16,22 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import reach
-from hypose.compute.threads import in_background, over_chunks
+from hypose.compute.threads import in_background, in_threads
 from hypose.evidence.cues import PoseMemory
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
+from hypose.inference.resampling import distinct
 from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
 from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, limb_energy
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
-_SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
-"""Keys in a frame's `shared`: of what was started in the background while other layers run, and of the last frame's
-hypotheses."""
+_SOLVE, _LOOK = "rivals solved", "arms looked up"
+"""Keys in a frame's `shared` of what was started in the background while other layers run."""
 
-SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "rival's arm", "old rival"))
+SEARCH_ROLES = tuple(FOUND_BY + name for name in ("limb search", "arm table", "old rival"))
 """Roles that name the origin of a hypothesis."""
 
 DEPTH_KEEPS = 2
@@ -108,13 +108,14 @@ class RefineRivals:
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Compute the hypotheses that are kept, best first."""
         s, c = frame.body.skeleton, self.contest
-        winner, alive, last = member(h, SOLVED), *_best_first(frame)
+        winner, alive = member(h, SOLVED), _best_first(frame)
+        last = alive.columns[BEFORE]
         if not frame.silhouettes.seen:  # without masks hypotheses cannot be compared
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
         composite = self._composite(h, winner, frame)
-        crossed, whose, looked_up = frame.shared.pop(_LOOK, partial(self._look, h, winner, old, frame))()
-        starts = [*composite, *looked_up, *crossed]
+        looked_up = frame.shared.pop(_LOOK, partial(self._looked_up, h, winner, old, frame))()
+        starts = [*composite, *looked_up]
         poses = np.stack([winner, *self._solved(starts, old, frame)])
         parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
         fresh = np.zeros(len(poses), np.bool_)
@@ -129,11 +130,9 @@ class RefineRivals:
         for k, (arm, _) in enumerate(self.arms):
             jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
             before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
-        for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
-            before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         row = 1
-        for role, of in zip(SEARCH_ROLES, (composite, looked_up, crossed, old), strict=True):
+        for role, of in zip(SEARCH_ROLES, (composite, looked_up, old), strict=True):
             found = found.marked(role, np.arange(row, row + len(of)))
             row += len(of)
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
@@ -145,7 +144,7 @@ class RefineRivals:
         frame: prepared frame; its `shared` gets the running solves, one per rival.
         """
         if frame.silhouettes.seen and frame.rivals is not None:
-            for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
+            for q in frame.body.skeleton.on_branch(_best_first(frame).values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
@@ -155,22 +154,8 @@ class RefineRivals:
             gets the running search.
         """
         if frame.silhouettes.seen and frame.rivals is not None:
-            old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
-            frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
-
-    def _look(
-        self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame
-    ) -> tuple[list[Array], list[tuple[int, int]], list[Array]]:
-        """Run `_crossed` and `_looked_up`; return their results.
-
-        h: hypotheses before the kernel; winner: (D,) solved pose; old: (K, D) predicted rivals.
-        """
-        elsewhere = self._elsewhere(winner, old)
-        crossed, whose = self._crossed(winner, old, elsewhere, frame)
-        tried = [
-            [k for k in range(len(old)) if elsewhere[k].sum() < 2 or (k, n) in whose] for n in range(len(self.arms))
-        ]
-        return crossed, whose, self._looked_up(h, winner, [old[k] for k in tried], frame)
+            old = frame.body.skeleton.on_branch(_best_first(frame).values[1:], frame.prediction)
+            frame.shared[_LOOK] = in_background(partial(self._looked_up, h, member(h, SOLVED), old, frame))
 
     def _by_pictures(
         self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
@@ -212,47 +197,17 @@ class RefineRivals:
         energy = frame_energy(np.stack([winner, composite]), frame)
         return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
 
-    def _looked_up(self, h: Hypotheses, winner: Array, tried: list[Array], frame: PreparedFrame) -> list[Array]:
+    def _looked_up(self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame) -> list[Array]:
         """Find poses (D,) with one arm elsewhere than in the winner, from the tables.
 
         h: hypotheses after the limb search; winner: (D,).
-        tried: per arm, rivals (K, D) that are solved anyway; arms near theirs are left out.
+        old: (K, D) predicted rivals, which are solved anyway; arms near theirs are left out.
         """
         found: list[Array] = []
-        for (arm, turn), known in zip(self.arms, tried, strict=True):
+        for arm, turn in self.arms:
             if turn(h, frame):
-                found += rival_arms(arm, winner, frame, self.look, known)
+                found += rival_arms(arm, winner, frame, self.look, old)
         return found
-
-    def _crossed(
-        self, winner: Array, old: Array, elsewhere: NDArray[np.bool_], frame: PreparedFrame
-    ) -> tuple[list[Array], list[tuple[int, int]]]:
-        """Build poses that combine the winner with one arm of a rival that differs in both arms.
-
-        winner: (D,); old: (K, D) predicted rivals; elsewhere: (K, A) true for arms of a rival that are far from the
-            winner's.
-        Why: one arm of a rival may be right while the other is wrong. Only poses that overlap about as well are kept.
-        Returns: poses (D,); the numbers of rival and arm of each.
-        """
-        pairs = [(int(k), int(n)) for k, n in np.argwhere(elsewhere) if elsewhere[k].sum() > 1]
-        if not pairs:
-            return [], []
-        poses = np.repeat(winner[None], len(pairs) + 1, 0)
-        for pose, (k, n) in zip(poses[1:], pairs, strict=True):
-            pose[self.arms[n][0].own] = old[k, self.arms[n][0].own]
-        energy = frame_energy(poses, frame)
-        good = np.flatnonzero(energy[1:] <= self.look.ratio * energy[0])
-        return [poses[1 + i] for i in good], [pairs[i] for i in good]
-
-    def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
-        """Decide which arms of rivals (K, D) are far from the winner's; return (K, A).
-
-        winner: (D,); old: (K, D) rivals, predicted into this frame.
-        """
-        if not len(old):
-            return np.zeros((0, len(self.arms)), np.bool_)
-        at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
-        return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """Solve from the starts and from the predictions (K, D) of the rivals, in several threads; return the poses
@@ -263,16 +218,9 @@ class RefineRivals:
         near = self.with_depth if frame.depth.seen else self.near
         tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
-        solved: dict[int, PoseFit] = {}
-
-        def work(first: int, last: int) -> None:
-            for n in range(first, last):
-                solved[n] = tasks[n]()[0]
-
-        over_chunks(work, len(tasks), None)
-        in_order = [solved[n] for n in range(len(tasks))]
-        keep_fits(frame, in_order)
-        return [fit.pose for fit in in_order]
+        fits = in_threads(lambda task: task()[0], tasks)
+        keep_fits(frame, fits)
+        return [fit.pose for fit in fits]
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
         """Solve a rival from its predicted pose (D,).
@@ -287,14 +235,31 @@ class RefineRivals:
 
         scores: (N,) low is good; costs: (N,) mismatches; at: (N, E, 3) ends of the arms, m. Returns: indices.
         """
-        kept: list[int] = []
-        for n in np.argsort(scores, kind="stable"):
-            alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
-            if alone and scores[n] - scores[[*kept, n][0]] <= self.contest.behind * costs[n]:
-                kept.append(int(n))
-            if len(kept) == (min(self.keep, DEPTH_KEEPS) if frame.depth.seen else self.keep):
-                break
-        return kept
+        order = np.argsort(scores, kind="stable")
+        near = order[scores[order] - scores[order[0]] <= self.contest.behind * costs[order]]
+        count = min(self.keep, DEPTH_KEEPS) if frame.depth.seen else self.keep
+        return near[distinct(at[near], count, self.contest.apart)].tolist()
+
+
+@dataclass(frozen=True)
+class SolvePrediction:
+    """Search kernel that solves a pose from the prediction and sets all hypotheses to the solution, as the start of
+    a search of single limbs.
+
+    One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
+    rivals: kernel of a later layer, of which parts run in parallel with this one and the next ones.
+    """
+
+    options: SolveSettings
+    rivals: RefineRivals
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """Return the set with all hypotheses at the solved pose."""
+        self.rivals.before_solve(frame)
+        pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
+        moved = h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [min(1, h.count - 1)])
+        self.rivals.before_search(moved, frame)
+        return moved
 
 
 def rival_arms(
@@ -325,13 +290,9 @@ def rival_arms(
     poses = np.repeat(pose[None], len(good) + 1, 0)
     poses[1:, arm.own] = arm.poses[good]  # the first one stays unchanged
     energy = limb_energy(poses, frame, arm.moving, rest, look.ratio, standing)
-    at, chosen = arm.ends[good], list[int]()
-    for n in np.argsort(energy[1:], kind="stable"):
-        if energy[1 + n] > look.ratio * energy[0] or len(chosen) == look.most:
-            break
-        if all(_farthest(at[n, None], at[k]) > look.far for k in chosen):
-            chosen.append(int(n))
-    return [poses[1 + n] for n in chosen]
+    order = np.argsort(energy[1:], kind="stable")
+    order = order[energy[1 + order] <= look.ratio * energy[0]]
+    return [poses[1 + n] for n in order[distinct(arm.ends[good][order], look.most, look.far)]]
 
 
 def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
@@ -356,18 +317,13 @@ def _farthest(ends: Array, other: Array) -> Array:
     return np.sqrt((d[..., 0] + d[..., 1] + d[..., 2]).max(-1))
 
 
-def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
-    """Return the hypotheses of the last frame, best first and predicted into this frame, and their last poses (N, D).
+def _best_first(frame: PreparedFrame) -> Hypotheses:
+    """Return the hypotheses of the last frame, best first and predicted into this frame.
 
-    frame: prepared, with `rivals`.
-    Returns: the hypotheses, whose values are the predicted poses; (N, D) poses in the last frame.
+    frame: prepared, with `rivals`, whose column `before` has their last poses.
     """
     assert frame.rivals is not None, "the recipe does not say how many rivals"
-    of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
-    if of is not frame.rivals:
-        h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
-        frame.shared[_ORDERED] = frame.rivals, h
-    return h, h.columns[BEFORE]
+    return frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
 
 
 def _roles(h: Hypotheses) -> Hypotheses:

@@ -7,17 +7,14 @@ the masks as points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import reach
-from hypose.compute.arrays import FIXED, PreparedMasks, Standing, TreeArrays
-from hypose.compute.kinematics import forward_kinematics
+from hypose.compute.arrays import Standing
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
@@ -32,45 +29,55 @@ _WIDTH = (0.09, 0.07, 0.06)
 """m, width of upper arm, forearm and hand; a point stands for its share of the part's area"""
 _ENDS = [2, 5, 7]
 """indices of the points at elbow, wrist, and near the tip of the hand"""
-_Way = tuple[list[int], TreeArrays]
 
 
-@dataclass(frozen=True)
 class ArmReach:
     """Table of an arm's poses over its whole reach.
 
     body: the body of the arm.
+    joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
+    lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
+    count: number N of poses.
+    Attributes: body, and
     own: (d,) the arm's coordinates.
     parent: joint that carries the arm (the chest); chain: indices of shoulder, elbow and wrist.
     tip: (3,) tip of the hand in the wrist's frame, m.
     moving: (J,) true for the arm's joints.
     poses: (N, d) values of the coordinates.
-    points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m.
+    points: (N, 8, 3) points of the arm in these poses, in the parent's frame, m; ends: (N, 3, 3) elbow, wrist and hand.
     area: (8,) area that each point stands for, m^2.
     """
 
-    body: Body
-    own: NDArray[np.int64]
-    parent: int
-    chain: tuple[int, int, int]
-    tip: Array
-    moving: NDArray[np.bool_]
-    poses: Array
-    points: Array
-    area: Array
+    def __init__(self, body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> None:
+        s, side = body.skeleton, joints[0].split("_")[0]
+        index = [s.joint(name) for name in joints]
+        self.body, self.own, self.parent = body, s.dofs_of(*joints), int(s.parents[min(index)])
+        self.chain = a, b, c = tuple(s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
+        self.tip: Array = body.landmarks.offset[body.landmarks.index(f"{side}_hand_tip")]
+        self.moving = np.isin(np.arange(len(s.joint_names)), index)
+        spread = _evenly_spread(count, len(self.own))
+        self.poses: Array = lower[self.own] + (upper - lower)[self.own] * spread
+        bones = s.rest_joints[[b, c]] - s.rest_joints[[a, b]]
+        lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(self.tip)]
+        area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
+        self.area, self.points = np.array(area), self._points(self.poses)
+        self.ends = np.ascontiguousarray(ends(self.points))
 
-    @cached_property
-    def ends(self) -> Array:
-        """Positions (N, 3, 3) of elbow, wrist and hand in all poses of the table, in the parent's frame, m."""
-        return np.ascontiguousarray(ends(self.points))
+    def _points(self, values: Array) -> Array:
+        """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates."""
+        poses = np.zeros((len(values), self.body.skeleton.dof))
+        poses[:, self.own] = values
+        # nothing else is turned, so the parent's frame is that of the world
+        rotations, centres = self.body.skeleton.forward(poses)
+        at = centres[:, [*self.chain, self.chain[2]]]
+        at[:, 3] += np.einsum("nij,j->ni", rotations[:, self.chain[2]], self.tip)
+        begin = at[:, _PART]
+        found = begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, self.parent]
+        return np.ascontiguousarray(found)
 
     def here(self, poses: Array) -> Array:
         """Compute the arm's points (N, 8, 3), m, in the poses (N, D) of a body, in the parent's frame."""
-        return _points(self._way, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
-
-    @cached_property
-    def _way(self) -> _Way:
-        return _way_to(self.chain[2], self.own, self.body.skeleton.tree)
+        return self._points(poses[:, self.own])
 
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: Standing, cutoff: float) -> Array:
         """Compute how badly arms at given points fit the masks of a frame, in m^2, summed over the views.
@@ -81,19 +88,9 @@ class ArmReach:
         cutoff: points are no longer counted once the score is above it.
         Returns: (N,) scores, exact up to the cutoff; larger ones are only known to be above it.
         """
-        return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
-
-    def score_in(self, points: Array, pose: Array, masks: PreparedMasks, rest: Standing, cutoff: float) -> Array:
-        """Compute how badly arms at given points fit given masks, in m^2, as `score` does for the masks of a frame.
-
-        points: (N, 8, 3) in the parent's frame, m; pose: (D,) pose of the rest of the body; rest: drawing of the
-            parts that do not move.
-        cutoff: points are no longer counted once the score is above it.
-        masks: prepared for the scorer.
-        Returns: (N,) scores, exact up to the cutoff.
-        """
         rotation, centre = self.body.skeleton.forward(pose)
-        return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
+        place = rotation[self.parent], centre[self.parent]
+        return reach.score_points(points, self.area, *place, frame.silhouettes.masks, rest, cutoff)
 
 
 def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
@@ -120,37 +117,12 @@ def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
     """Compute elbow, wrist and hand (N, A, 3, 3), m, of the arms of one body in poses (N, D), in the frames of the
     arms' parents.
     """
-    if not arms:
-        return np.zeros((len(poses), 0, 3, 3))
     rotations, centres = arms[0].body.skeleton.forward(poses)
     parents = [arm.parent for arm in arms]
     wrists = [arm.chain[2] for arm in arms]
     at = centres[:, [arm.chain[1:] + arm.chain[2:] for arm in arms]]  # elbow, wrist, hand (from the wrist)
     at[:, :, 2] += _ALONG[2][1] * np.einsum("naij,aj->nai", rotations[:, wrists], np.stack([a.tip for a in arms]))
     return np.einsum("naji,nakj->naki", rotations[:, parents], at - centres[:, parents, None])
-
-
-def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> ArmReach:
-    """Build the table of an arm's poses over its whole reach.
-
-    lower, upper: (D,) range of the pose, between which the arm's coordinates are spread evenly.
-
-    joints: names of the arm's joints: clavicle, shoulder, elbow of one side.
-    count: number of poses.
-    """
-    s, side = body.skeleton, joints[0].split("_")[0]
-    own = s.dofs_of(*joints)
-    a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
-    parent = int(s.parents[min(s.joint(name) for name in joints)])
-    mark = body.landmarks.index(f"{side}_hand_tip")
-    tip = body.landmarks.offset[mark]
-    poses = lower[own] + (upper - lower)[own] * _evenly_spread(count, len(own))
-    bones = s.rest_joints[[b, c]] - s.rest_joints[[a, b]]
-    lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(tip)]
-    area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
-    moving = np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in joints])
-    points = _points(_way_to(c, own, s.tree), poses, own, parent, (a, b, c), tip)
-    return ArmReach(body, own, parent, (a, b, c), tip, moving, poses, points, np.array(area))
 
 
 @lru_cache(4)
@@ -170,34 +142,3 @@ def _evenly_spread(count: int, dimension: int) -> Array:
             out[:, k] += share * (n % base)
             n = n // base
     return out
-
-
-def _points(
-    the_way: _Way, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
-) -> Array:
-    """Compute the arm's points (N, 8, 3), m, in the parent's frame, for values (N, d) of its coordinates.
-
-    the_way: as returned by `_way_to`; own: (d,) indices of the coordinates; chain: shoulder, elbow, wrist; tip: (3,) of
-        the hand in the wrist's frame, m.
-    """
-    way, tree = the_way
-    poses = np.zeros((len(values), len(tree.axes)))
-    poses[:, own] = values
-    # nothing else is turned, so the parent's frame is that of the world
-    rotations, centres = forward_kinematics(poses, tree)
-    at = centres[:, [*map(way.index, chain), -1]]
-    at[:, 3] += np.einsum("nij,j->ni", rotations[:, -1], tip)
-    begin = at[:, _PART]
-    found = begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, way.index(parent)]
-    return np.ascontiguousarray(found)
-
-
-def _way_to(joint: int, own: NDArray[np.int64], tree: TreeArrays) -> _Way:
-    """Reduce the joint tree to the joints from the root to a joint; only the coordinates own (d,) remain movable."""
-    way = [joint]
-    while (parent := int(tree.parents[way[0]])) >= 0:
-        way.insert(0, parent)
-    kind = np.where(np.isin(way, tree.joint_of_dof[own]), tree.kind[way], FIXED)
-    parents = np.arange(-1, len(way) - 1)
-    given = tree._replace(parents=parents, kind=kind, dof_start=tree.dof_start[way], dof_count=tree.dof_count[way])
-    return way, given._replace(joints=tree.joints[way])

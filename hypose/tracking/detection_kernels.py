@@ -82,50 +82,12 @@ def found_ends(body: Body, ends: Landmarks, frame: PreparedFrame) -> dict[int, A
     return found
 
 
-@dataclass(frozen=True)
-class DetectedLimb:
-    """Limb that analytic inverse kinematics can pose: a ball joint, the hinge joint below it, and the body end at
-    its tip.
+def pose_limb(body: Body, ends: Landmarks, end: int, poses: Array, targets: Array, swivel: Array) -> Array:
+    """Set the ball and the hinge of a limb in poses (N, D) so that its end lies at the targets, as near as length and
+    limits allow.
 
-    joint: index of the ball joint; parent: parent of the joint that carries it.
-    ball, hinge: index in the pose of the first coordinate of the ball joint, and of the coordinate of the hinge.
-    upper: (3,) hinge minus ball; lower: (3,) end minus hinge; axis: (3,) axis of the hinge; in the model frame at rest,
-        m.
-    The end is fixed to the hinge's segment (wrists do not move; an ankle's own freedom does not move its centre).
-    """
-
-    joint: int
-    parent: int
-    ball: int
-    hinge: int
-    upper: Array
-    lower: Array
-    axis: Array
-
-
-def limb_to(body: Body, ends: Landmarks, end: int) -> DetectedLimb | None:
-    """Build the limb that carries an end (index in END_NAMES); None for the head.
-
-    ends: places of the ends on the body; end: index in END_NAMES.
-    """
-    name = END_NAMES[end]
-    if name == "head":
-        return None
-    side = name.split("_")[0]
-    ball, hinge = (f"{side}_{n}" for n in (("hip", "knee") if name.endswith("ankle") else ("shoulder", "elbow")))
-    s, rest = body.skeleton, body.skeleton.rest_joints
-    j, k = s.joint(ball), s.joint(hinge)
-    dof = int(s.dofs_of(hinge)[0])
-    tip = rest[ends.joint[end]] + ends.offset[end]
-    return DetectedLimb(
-        j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof]
-    )
-
-
-def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swivel: Array) -> Array:
-    """Set the limb's ball and hinge in poses (N, D) so that its end lies at the targets, as near as length and limits
-    allow.
-
+    ends: places of the ends on the body; end: index in END_NAMES of a hand, wrist or ankle. It is fixed to the hinge's
+        segment (wrists do not move; an ankle's own freedom does not move its centre).
     targets: (N, 3) m.
     swivel: (N,) rotation about the line from the ball to the target, rad, which the end's place does not determine.
     Returns: (N, D) poses.
@@ -133,42 +95,41 @@ def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swiv
     nearer to the current one). The ball then turns by the smallest rotation that points the end at the target, and by
     the swivel.
     """
-    s = body.skeleton
+    side, part = END_NAMES[end].split("_")
+    upper, lower = (f"{side}_{n}" for n in (("hip", "knee") if part == "ankle" else ("shoulder", "elbow")))
+    s, rest = body.skeleton, body.skeleton.rest_joints
+    j, k, hinge = s.joint(upper), s.joint(lower), int(s.dofs_of(lower)[0])
     rotations, centres = s.forward(poses)
-    parent = rotations[:, limb.parent]
-    to = np.einsum("nba,nb->na", parent, targets - centres[:, limb.joint])
+    to = np.einsum("nba,nb->na", rotations[:, s.parents[j]], targets - centres[:, j])
     distance = np.linalg.norm(to, axis=1)
-    a, e, h = limb.axis, limb.upper, limb.lower
+    # at rest: from the ball to the hinge, and from there to the end
+    a, e, h = s.axes[hinge], rest[k] - rest[j], rest[ends.joint[end]] + ends.offset[end] - rest[k]
     along = (a @ h) * a
     across, turned = h - along, np.cross(a, h)
     # |e + exp(theta a) h|^2 = |e|^2 + |h|^2 + 2 e.along + 2 (e.across cos theta + e.turned sin theta)
     p, q = float(e @ across), float(e @ turned)
     wanted = 0.5 * (distance**2 - e @ e - h @ h) - e @ along
     middle, opening = np.arctan2(q, p), np.arccos(np.clip(wanted / max(np.hypot(p, q), 1e-12), -1.0, 1.0))
-    current, low, high = poses[:, limb.hinge], s.lower[limb.hinge], s.upper[limb.hinge]
+    current = poses[:, hinge]
     best, least = current, np.full(len(poses), np.inf)
     for candidate in (middle + opening, middle - opening):
         angle = np.mod(candidate + np.pi, 2 * np.pi) - np.pi
-        clipped = np.clip(angle, low, high)
+        clipped = np.clip(angle, s.lower[hinge], s.upper[hinge])
         cost = 10.0 * np.abs(angle - clipped) + np.abs(clipped - current)
         best, least = np.where(cost < least, clipped, best), np.minimum(cost, least)
-    end = e + along + np.cos(best)[:, None] * across + np.sin(best)[:, None] * turned
-    before = so3_exp(poses[:, limb.ball : limb.ball + 3])
-    pointing = np.einsum("nab,nb->na", before, end)
-    line = to / np.maximum(distance, 1e-9)[:, None]
-    turn = so3_exp(swivel[:, None] * line) @ so3_exp(_between(pointing, to))
-    out = poses.copy()
-    out[:, limb.hinge] = best
-    out[:, limb.ball : limb.ball + 3] = nearest_branch(so3_log(turn @ before), poses[:, limb.ball : limb.ball + 3])
-    return np.asarray(reflect(out, s.lower, s.upper))
-
-
-def _between(a: Array, b: Array) -> Array:
-    """Compute the rotation vectors (N, 3) of the smallest rotations from directions a to b (N, 3)."""
-    axis = np.cross(a, b)
+    tip = e + along + np.cos(best)[:, None] * across + np.sin(best)[:, None] * turned
+    ball = s.dofs_of(upper)
+    before = so3_exp(poses[:, ball])
+    pointing = np.einsum("nab,nb->na", before, tip)
+    axis = np.cross(pointing, to)
     sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, (a * b).sum(1))
-    return axis * (angle / np.maximum(sine, 1e-12))[:, None]
+    smallest = axis * (np.arctan2(sine, (pointing * to).sum(1)) / np.maximum(sine, 1e-12))[:, None]
+    line = to / np.maximum(distance, 1e-9)[:, None]
+    turn = so3_exp(swivel[:, None] * line) @ so3_exp(smallest)
+    out = poses.copy()
+    out[:, hinge] = best
+    out[:, ball] = nearest_branch(so3_log(turn @ before), poses[:, ball])
+    return np.asarray(reflect(out, s.lower, s.upper))
 
 
 @dataclass(frozen=True)
@@ -215,11 +176,10 @@ class DetectorDriven:
         # a lost arm's elbow may lie anywhere on its circle
         far = np.arange(h.count) % 3 == 0
         swivel = np.where(far, self.far_swivel, self.swivel) * rng.standard_normal(h.count)
-        limb = limb_to(self.body, self.ends, end)
-        if limb is None:
+        if END_NAMES[end] == "head":
             values[rows] = self._reach(moved.values[rows], targets[rows], end)
         else:
-            values[rows] = pose_limb(self.body, limb, moved.values[rows], targets[rows], swivel[rows])
+            values[rows] = pose_limb(self.body, self.ends, end, values[rows], targets[rows], swivel[rows])
         moved = replace(moved, values=values).marked(self.sorted, np.ones(h.count, bool))
         return moved.marked(self.posed, driven)
 

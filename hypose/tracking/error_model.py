@@ -23,7 +23,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
+from hypose.tracking.covariance_calibration import with_fitted_joints
 from hypose.tracking.joint_features import AUDITED
 from hypose.tracking.left_right import legs_crossed
 
@@ -329,28 +329,24 @@ def judged(
         (later frames may decide that); another posture. Both hold until the person has taken another pose.
     known: "depth" for depth cameras, which the audit does not show; None: the evidence is found from the audit.
     Returns: (T, J) probabilities of an error above WRONG_M; (T, J) true for joints of low confidence.
-    With key points no joint is more certain than its covariance says. With key points alone, joints for which the set
-        has no point never have low confidence. In frames without the person the probability is at least 0.5 and all
-        joints have low confidence.
+    With key points alone, no joint is more certain than its covariance says, and joints for which the set has no point
+        never have low confidence. In frames without the person the probability is at least 0.5 and all joints have low
+        confidence.
     """
     names = motion.skeleton.joint_names
     evidence = known or evidence_of(audit)
     model = error_models()[evidence]
     p = probability(model.log_odds(clip_features(motion, raw_joints, audit), names))
     p = np.maximum(p, _by_twisted_trunk(motion))
-    if evidence == "keypoints":
-        p = np.maximum(p, _by_few_views(motion, audit))
-    if evidence in ("keypoints", "both"):  # sets without some joints; masks show the whole body
-        p = np.maximum(
-            p,
-            probability_by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence)).joint_covariance),
-        )
+    if evidence == "keypoints":  # sets without some joints; masks show the whole body
+        spread = with_fitted_joints(motion, evidence).joint_covariance
+        p = np.maximum.reduce([p, _by_few_views(motion, audit), probability_by_spread(spread)])
     if evidence == "silhouettes":  # evidence beyond outlines shows which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
         turned, otherwise = unsure
         held = _as_at_start(motion)[:, None]
-        p = 1 - (1 - p) * (1 - _open(audit) * turned * held) * (1 - _misfit(motion) * otherwise * held)
+        p = 1 - (1 - p) * (1 - _open(audit) * turned * held) * (1 - otherwise * held)
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
     threshold = model.threshold[groups_of(names)]
     low_confidence = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
@@ -531,19 +527,6 @@ def _open(audit: ArrayLike) -> float:
     return float(np.clip(1 + np.median(known) / _DECIDED, 0.0, 1.0)) if len(known) else 1.0
 
 
-def _misfit(motion: Motion) -> float:
-    """Compute how undecided a clip is about the posture: 0 where the body fits the masks well, 1 where it fits badly.
-
-    The two ends are POSTURE_COST.
-    """
-    cost = motion.cost[np.isfinite(motion.cost)]
-    low, high = POSTURE_COST
-    return float(np.clip((np.median(cost) - low) / (high - low), 0.0, 1.0)) if len(cost) else 1.0
-
-
-POSTURE_COST = (0.1, 0.2)
-"""1 - IoU, median of a clip, where another start posture begins to be possible, and where it is fully so. Correct
-bodies have 0.05 to 0.12, a seated man whose knees are 200 mm off (uu4cam) has 0.20."""
 _DECIDED = 0.03
 """IoU by which the exchanged body is worse, median, from which a clip is decided; in 32 correct clips it was 0.03 to
 0.11"""

@@ -225,23 +225,28 @@ def check_sides_and_views(
     strangers = middle > STRANGER_M
     if (middle <= STRANGER_M).sum() >= 2:
         out[strangers, :, 2] = 0.0
-    column = {name: k for k, name in enumerate(names)}
     far = np.nan_to_num(distance) > SWAPPED_M
     for view in np.flatnonzero(~strangers & far.any(1)):
         for chain in _CHAINS:
-            pairs = [
-                (column[f"left_{part}"], column[f"right_{part}"])
-                for part in chain
-                if f"left_{part}" in column and f"right_{part}" in column
-            ]
-            if far[view, list(sum(pairs, ()))].any():  # the mean is only large where one of them is
+            pairs = sides_of(names, chain)
+            if far[view, pairs.ravel()].any():  # the mean is only large where one of them is
                 _exchange(out[view], expected[view], pairs, float(size[view]))
     return out
 
 
-def _exchange(points: Array, expected: Array, pairs: list[tuple[int, int]], size: float) -> None:
+def sides_of(names: Sequence[str], parts: Sequence[str], known: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """List the columns (N, 2) of the left and right point of each part that the names have on both sides.
+
+    names: names of the points; parts: names without the side; known: (K,) False for points that do not count.
+    """
+    column = {n: k for k, n in enumerate(names) if known is None or known[k]}
+    both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
+    return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
+
+
+def _exchange(points: Array, expected: Array, pairs: NDArray[np.int64], size: float) -> None:
     """Exchange the points (K, 3) of the pairs in place where that is clearly nearer to the expected (K, 2)."""
-    left, right = np.array([p[0] for p in pairs], dtype=int), np.array([p[1] for p in pairs], dtype=int)
+    left, right = pairs.T
 
     def gap(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
         d = np.linalg.norm(points[a, :2] - expected[b], axis=-1) / size
@@ -470,29 +475,17 @@ def limb_energy(
     return depth.limb_energy(body, poses, moving, outlines, rest_depth) if depth.seen else outlines(slack)
 
 
-_IN_LANES = 8
-"""numpy adds this many numbers, or more, in another order."""
-
-
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Compute the mean IoU of a pose with the masks over the views where it is known; 0 where it is known in no
     view.
     """
-    return _mean_of_known(frame.silhouettes.overlap(body, pose), 0.0)
+    return float(np.nan_to_num(_mean_of_known(frame.silhouettes.overlap(body, pose))))
 
 
-def _mean_of_known(overlap: Array, otherwise: float) -> float:
-    """Compute np.nanmean with the same bits, but faster for a few numbers.
-
-    overlap: (C,) NaN where unknown; otherwise: the result where none is known.
-    """
-    if len(overlap) >= _IN_LANES:
-        return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else otherwise
-    total, count = 0.0, 0
-    for one in overlap.tolist():
-        if one == one:  # a number
-            total, count = total + one, count + 1
-    return total / count if count else otherwise
+def _mean_of_known(overlap: Array) -> float:
+    """Compute the mean of the numbers (C,) that are known; NaN where none is. It is np.nanmean, but faster."""
+    count = int(np.isfinite(overlap).sum())
+    return float(np.nan_to_num(overlap).sum()) / count if count else float("nan")
 
 
 def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
@@ -501,5 +494,5 @@ def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
     Returns: mean IoU over the views minus half of the mean depth energy; NaN where no view is usable.
     Why: a person who stands back to front has nearly the same outline, but other depths.
     """
-    mean, depth = _mean_of_known(frame.silhouettes.overlap(body, pose), float("nan")), frame.depth
+    mean, depth = _mean_of_known(frame.silhouettes.overlap(body, pose)), frame.depth
     return mean - 0.5 * float(depth.energy(body, pose[None])[0]) / max(int(depth.views.sum()), 1)

@@ -25,7 +25,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import Limb
 from hypose.geometry import Array
-from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
+from hypose.tracking.arm_workspace import ArmReach, ends, in_practice
 from hypose.tracking.frame_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 _SCALE_M = 0.025
@@ -300,7 +300,7 @@ def _arms(body: Body) -> list[ArmReach]:
     for side in ("left", "right"):
         joints = tuple(f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow"))
         if {*joints, f"{side}_wrist"} <= {*s.joint_names}:
-            found.append(arm_reach(body, joints, *in_practice(s)))
+            found.append(ArmReach(body, joints, *in_practice(s)))
     return found
 
 

@@ -24,8 +24,10 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import KeypointTerm, PointTerm, Term
-from hypose.fitting import SolveSettings, fit_clip, fit_pose
+from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
+from hypose.inference.estimates import likeliest_path
+from hypose.inference.layer import go_on
 from hypose.tracking.frame_evidence import (
     MIN_CONFIDENCE,
     STRANGER_M,
@@ -34,6 +36,7 @@ from hypose.tracking.frame_evidence import (
     keypoint_term,
     pixels_per_metre,
     shows_another_person,
+    sides_of,
 )
 from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.refinement import anatomical_prior, from_neighbours, joint_covariance_of
@@ -67,7 +70,7 @@ def exchanged_by_names(
     sure_start: frame 0 is known to have its sides right.
     Returns: (T,) true for exchanged frames; the gain, in views, of exchanging them.
     """
-    pairs = _pairs(model, LIMBS[limb])
+    pairs = sides_of(model.names, LIMBS[limb], model.known)
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0
     places = model.positions(body, poses)
@@ -80,17 +83,10 @@ def exchanged_by_names(
             won[t] = renamed - kept
     change = _MEETING + _APART * (apart / _APART_M) ** 2
     change[0] = np.inf if sure_start else _MEETING  # a start may be wrong, however far apart they are
-    return _best_stretches(won, change)
-
-
-def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
-    """List the columns (N, 2) of the left and right point of each part that the body has.
-
-    model: model of the key points; parts: names without the side.
-    """
-    column = {n: k for k, n in enumerate(model.names) if model.known[k]}
-    both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
-    return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
+    costs = [np.array([0.0, change[0] - won[0]]), *np.column_stack([0 * won, -won])[1:]]
+    path, _ = likeliest_path(costs, [np.array([[0.0, c], [c, 0.0]]) for c in change[1:]])
+    exchanged = np.array(path, np.bool_)
+    return exchanged, float(won[exchanged].sum() - change[np.diff(exchanged, prepend=False)].sum())
 
 
 def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
@@ -101,7 +97,7 @@ def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Arr
     expected: (C, K, 2) places on the body, px; size: (C,) pixels per metre.
     Returns: views on the other side; views on their own side. Views where both fit alike count as neither.
     """
-    pairs, seen = _pairs(model, LIMBS[limb]), np.nan_to_num(points)
+    pairs, seen = sides_of(model.names, LIMBS[limb], model.known), np.nan_to_num(points)
     if not len(pairs):
         return 0, 0
     there = (seen[..., 2] > MIN_CONFIDENCE) & np.isfinite(expected).all(-1)
@@ -120,31 +116,9 @@ def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Arr
     return int(renamed.sum()), int(kept.sum())
 
 
-def _best_stretches(worth: Array, change: Array) -> tuple[NDArray[np.bool_], float]:
-    """Choose the frames (T,) to exchange with the largest sum of worth (T,) minus the change costs (T,) at their ends.
-
-    Returns: (T,) the frames; the sum.
-    """
-    frames = len(worth)
-    best, came = np.array([0.0, -change[0]]), np.zeros((frames, 2), np.int64)
-    for t in range(frames):
-        if t:
-            crossing = best[::-1] - change[t]
-            came[t] = np.where(crossing > best, [1, 0], [0, 1])
-            best = np.maximum(best, crossing)
-        best = best + [0.0, worth[t]]
-    out, state = np.zeros(frames, np.bool_), int(best[1] > best[0])
-    for t in range(frames - 1, -1, -1):
-        out[t] = state == 1
-        state = int(came[t, state])
-    return out, float(max(best[1], best[0]))
-
-
 # ---- whole clip -----------------------------------------------------------------------------------------------------
 
 
-VELOCITY_GAIN = 0.8
-"""Share of the last step that is predicted again."""
 EXTRAPOLATE_S = 1.0
 """s without key points after which the person counts as lost, as in the tracker."""
 FASTEST, FARTHEST = 4.0, 1.3
@@ -226,17 +200,20 @@ def track_keypoint_clip(
     free = _together(body, first, evidence, frame_rate, settings)
     own = np.zeros((len(terms), body.skeleton.dof, body.skeleton.dof))
     around = np.full((len(terms), len(body.skeleton.joint_names), 3, 3), np.nan, np.float32)
-    for t in np.flatnonzero(known):
-        own[t] = _information(body, free[t], evidence[t])
+    still, priors = SolveSettings(iterations=0, coarse_iterations=0), (anatomical_prior(body.skeleton, keypoints=True),)
+    for t in np.flatnonzero(known):  # what a frame by itself shows of its pose
+        own[t] = fit_pose(body, free[t], evidence[t], priors=priors, options=still).information
         around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
     around = from_neighbours(around, frame_rate)
+    frames = np.arange(len(known))
+    last_known = np.maximum.accumulate(np.where(known, frames, -1))
     motion = Motion(
         body.skeleton,
-        np.arange(len(terms)) / frame_rate,
+        frames / frame_rate,
         body.joints(free),
         free,
         around,
-        _lost(known, EXTRAPOLATE_S * frame_rate),
+        frames - last_known > EXTRAPOLATE_S * frame_rate,
         ~known,
         np.array([int(points.any(1).sum()) for points in seen]),
         np.full(len(terms), np.nan),
@@ -301,7 +278,7 @@ def _one_by_one(
     last, before = start.copy(), start
     unseen = frame_rate * EXTRAPOLATE_S  # the start may be that of a frame within the first second
     for t, seen in enumerate(keypoints):
-        expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
+        expected = s.clamp(last + go_on(last - s.on_branch(before, last), 0))
         reach = min(STRANGER_M + FASTEST * unseen / frame_rate, FARTHEST)
         if seen is not None and shows_another_person(seen, body, model, expected, reach):
             lost = unseen > EXTRAPOLATE_S * frame_rate
@@ -364,31 +341,5 @@ def _together(
     frame_rate: Hz; settings: limits on accelerations and speeds.
     """
 
-    def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
-        return fit_clip(
-            body,
-            starts,
-            evidence[part],
-            acceleration=weights[0],
-            velocity=weights[1],
-            priors=(anatomical_prior(body.skeleton, keypoints=True),),
-            options=_ALL,
-        )
-
-    return at_own_pace(body.skeleton, _in_a_row(body, given), frame_rate, settings, solve)
-
-
-def _information(body: Body, pose: Array, evidence: Sequence[Term]) -> Array:
-    """Compute the information (D, D) that a frame by itself gives on its pose.
-
-    pose: (D,) at which it is computed; evidence: terms of the frame.
-    """
-    still = SolveSettings(iterations=0, coarse_iterations=0)
     priors = (anatomical_prior(body.skeleton, keypoints=True),)
-    return fit_pose(body, pose, evidence, priors=priors, options=still).information
-
-
-def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:
-    """Mark the frames (T,) that are more than `patience` frames after the last known one."""
-    frames = np.arange(len(known))
-    return frames - np.maximum.accumulate(np.where(known, frames, -1)) > patience
+    return at_own_pace(body, _in_a_row(body, given), evidence, frame_rate, settings, priors, _ALL)

@@ -31,7 +31,6 @@ from hypose.geometry import Array
 from hypose.tracking.frame_evidence import (
     MIN_CONFIDENCE,
     KeypointModel,
-    PreparedFrame,
     keypoint_term,
     pixels_per_metre,
     prepare,
@@ -90,13 +89,11 @@ def calibrate_keypoints(
         raise EvidenceError("No frame has 6 triangulated key points; check the key points' folder and the calibration.")
     used, q = [keypoints[int(t)] for t in chosen], start[chosen].copy()
     base, found = model, model
-    for n in range(rounds):
+    for _ in range(rounds):
         q = solved_frames(body, found, used, q, leg_weights(model.names))
-        rows = residual_rows(body, found, used, q)
-        found = replace(found, offset=_offsets(base, found, rows))
+        found = replace(found, offset=_offsets(base, found, residual_rows(body, found, used, q)))
         found = replace(found, sd=_noise(residual_rows(body, found, used, q)))
-        if n == rounds - 1:
-            q = solved_frames(body, found, used, q)
+    q = solved_frames(body, found, used, q)
     return replace(found, sd=_noise(residual_rows(body, found, used, q)))
 
 
@@ -290,13 +287,14 @@ def _exchanged(
     world: m; uv: (C, T, K, 2) px; projections: (C, 3, 4); seen: (C, T, K); other: (K,) column of each point's other
         side.
     """
-    h = np.einsum("cij,tkj->ctki", projections[:, :, :3], world) + projections[:, None, None, :, 3]
-    there = h[..., :2] / np.maximum(h[..., 2:], _NEAREST_M)
-    known = seen & np.isfinite(there).all(-1)
+    known = seen & np.isfinite(world).all(-1)
     known &= known[:, :, other]
-    as_named = np.linalg.norm(np.nan_to_num(there - uv), axis=-1)
-    as_other = np.linalg.norm(np.nan_to_num(there - uv[:, :, other]), axis=-1)
-    return np.asarray((known * (as_named - as_other)).sum(-1) > 0)
+    points, both = world.reshape(-1, 3), known.reshape(len(uv), -1)
+    named, exchanged = (
+        np.linalg.norm(_rows(points, at.reshape(len(uv), -1, 2), projections, both)[0], axis=-1)
+        for at in (uv, uv[:, :, other])
+    )
+    return np.asarray((named - exchanged).reshape(seen.shape).sum(-1) > 0)
 
 
 def _rows(world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -415,20 +413,17 @@ def _solved_either_way(
     """
     seen = pieces_of(frames, Keypoints)
     starts = triangulated_starts(body, model, seen) if seen else np.zeros((0, body.skeleton.dof))
-    kept, by_points, outlines = list[Keypoints](), list[Array](), list[PreparedFrame]()
-    for frame, points, start in zip(frames, seen, starts, strict=True):
-        if not np.isfinite(start).all():
-            continue
-        pose = solved_frames(body, model, [points], start[None])[0]
-        prepared = prepare(replace(frame, keypoints=None), body, pose, prediction_weight=0.0)
-        if prepared.silhouettes.seen:
-            kept.append(points)
-            by_points.append(pose)
-            outlines.append(prepared)
-
-    by_masks = [solve_poses(body, q[None], f, _SOLVE)[0].pose for q, f in zip(by_points, outlines, strict=True)]
-    shape = len(kept), body.skeleton.dof
-    return kept, np.array(by_points).reshape(shape), np.array(by_masks).reshape(shape)
+    found = np.flatnonzero(np.isfinite(starts).all(1)).tolist()
+    poses = solved_frames(body, model, [seen[n] for n in found], starts[found])
+    alone = [
+        prepare(replace(frames[n], keypoints=None), body, q, prediction_weight=0.0)
+        for n, q in zip(found, poses, strict=True)
+    ]
+    shown = [k for k, frame in enumerate(alone) if frame.silhouettes.seen]
+    by_masks = poses[shown].copy()
+    for n, k in enumerate(shown):
+        by_masks[n] = solve_poses(body, poses[k, None], alone[k], _SOLVE)[0].pose
+    return [seen[found[k]] for k in shown], poses[shown], by_masks
 
 
 def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute.threads import over_chunks
+from hypose.compute.threads import in_threads
 from hypose.evidence.cues import KeypointEvidence
 from hypose.evidence.keypoints import other_sides
 from hypose.evidence.terms import PointTerm
@@ -40,7 +40,7 @@ def turned_around(body: Body, pose: Array) -> Array:
     wanted = joints[other_sides(s.joint_names)]
     start = s.clamp(turn_pose(pose, np.pi))
     start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
-    return _with_joints_at(body, wanted, start)
+    return with_joints_at(body, wanted, start)
 
 
 def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool = False) -> Array:
@@ -59,7 +59,7 @@ def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool 
     for part in parts:
         left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
         start[left], start[right] = pose[right], pose[left]
-    return _with_joints_at(body, wanted, s.clamp(start))
+    return with_joints_at(body, wanted, s.clamp(start))
 
 
 def strain(skeleton: Skeleton, poses: Array) -> Array:
@@ -69,9 +69,9 @@ def strain(skeleton: Skeleton, poses: Array) -> Array:
     Why: the limits of ball joints allow a body that sits back to front, with its thighs behind it.
     """
     out = np.zeros(len(poses))
-    for name, (back, aside) in _NATURAL.items():
+    for name, (backward, back, aside) in _NATURAL.items():
         v = poses[:, skeleton.dofs_of(name)]
-        over = np.stack([v[:, 0] * _BACKWARD[name] - back, np.abs(v[:, 1]) - aside, np.abs(v[:, 2]) - aside])
+        over = np.stack([v[:, 0] * backward - back, np.abs(v[:, 1]) - aside, np.abs(v[:, 2]) - aside])
         out += _STRAIN * (np.maximum(over, 0.0) ** 2).sum(0)
     return out + _CROSSED * np.maximum(legs_crossed(skeleton, skeleton.forward(poses)[1]) - _FREE_M, 0.0)
 
@@ -91,9 +91,8 @@ def legs_crossed(skeleton: Skeleton, joints: Array) -> Array:
     return -np.minimum(*((between(part) * across).sum(-1) for part in ("knee", "ankle")))
 
 
-_NATURAL = {"left_hip": (0.5, 0.9), "right_hip": (0.5, 0.9), "spine": (0.4, 0.6)}
-"""rad: natural range backwards, and about each of the two other axes"""
-_BACKWARD = {"left_hip": 1.0, "right_hip": 1.0, "spine": -1.0}
+_NATURAL = {"left_hip": (1.0, 0.5, 0.9), "right_hip": (1.0, 0.5, 0.9), "spine": (-1.0, 0.4, 0.6)}
+"""Sign of a turn backwards; rad: natural range backwards, and about each of the two other axes."""
 _STRAIN = 0.02
 """penalty per square radian beyond the range"""
 _CROSSED, _FREE_M = 0.15, 0.05
@@ -120,14 +119,12 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     if named:
         ways += [partial(limbs_exchanged, limb="arms"), partial(limbs_exchanged, limb="arms", roots=True)]
         ways.append(lambda body, pose: pose)  # the pose itself, also solved without key points
-    tried = [pose] * len(ways)
 
-    def work(first: int, last: int) -> None:
-        for n in range(first, last):
-            start = ways[n](body, pose)
-            tried[n] = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
+    def solved(way: Callable[[Body, Array], Array]) -> Array:
+        start = way(body, pose)
+        return refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
 
-    over_chunks(work, len(ways), None)
+    tried = in_threads(solved, ways)
     now, best = worth(tried.pop() if named else pose), (-1.0, pose)
     for found in tried:
         gain = worth(found) - now
@@ -136,10 +133,13 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     return best
 
 
-def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
-    """Solve for the pose (D,) whose joint centres lie at `wanted` (J, 3), m, from a start pose (D,)."""
+def with_joints_at(body: Body, wanted: Array, start: Array, sd: float = 0.03) -> Array:
+    """Solve for the pose (D,) whose joint centres lie at `wanted` (J, 3), m, from a start pose (D,).
+
+    sd: m, distance beyond which a joint pulls less.
+    """
     count = len(wanted)
-    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
+    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), sd)
     return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
 
 

@@ -200,34 +200,22 @@ def colour_table(counts: NDArray[np.float32], settings: ColourSettings) -> NDArr
     return np.clip(np.log(of_part / share), -settings.most, settings.most).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class LearnColours:
-    """Function that learns the colours of the parts from frames in which the pose is certain; see `Recipe.learn`.
+def learn_colours(memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
+    """Learn the colours of the parts from a frame whose pose (D,) is certain; see `Recipe.learn`.
 
-    settings: settings for colours.
+    h: the rivals and their weights; arms of which a rival is elsewhere are not learnt.
+    Returns: the memory with the colours of the frame added.
     """
-
-    settings: ColourSettings = ColourSettings()
-
-    def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
-        """Return the memory with the colours of a frame added, where its pose (D,) is certain; see `Recipe.learn`."""
-        if not frame.silhouettes.seen or h.weights.max() < self.settings.surely:
-            return memory
-        for colours in frame.frame.of(Colours):
-            memory = self._learn(memory, colours, pose, h, frame)
+    o, body, masks = ColourSettings(), frame.body, frame.silhouettes.masks
+    if not frame.silhouettes.seen or h.weights.max() < o.surely:
         return memory
-
-    def _learn(self, memory: Memory, colours: Colours, pose: Array, h: Hypotheses, frame: PreparedFrame) -> Memory:
-        """Add the colours of one frame to the counts in the memory.
-
-        pose: (D,) estimate; h: its rivals; arms of which a rival is elsewhere are not learnt.
-        """
-        o, body, (faces, part, arm) = self.settings, frame.body, part_layout(frame.body)
-        vertices = body.skin(pose)
-        doubted = self._doubted(pose, h, body)
-        for side in np.flatnonzero(doubted):
+    s, vertices, (faces, part, arm) = body.skeleton, body.skin(pose), part_layout(body)
+    at = body.joints(np.concatenate([pose[None], h.values[h.weights > 0.02]]))
+    for side, names in enumerate(_ARMS):
+        ends = [s.joint(n) for n in names[1:]]
+        if np.linalg.norm(at[1:, ends] - at[0, ends], axis=-1).max(initial=0.0) > o.elsewhere:
             part[arm == side] = len(PARTS)  # it hides other parts, but its colours are not learnt
-        masks = frame.silhouettes.masks
+    for colours in frame.frame.of(Colours):
         use = masks.usable & colours.seen
         found = np.zeros((len(use), len(PARTS), COLOURS), np.float32)
         for c in np.flatnonzero(use).tolist():
@@ -235,21 +223,10 @@ class LearnColours:
             shown, box = shown_parts(vertices, faces, part, masks.projections[c], (height, w))
             found[c] = counted_colours(shown[box], masks.masks[c][box], colours.codes[c][box])
         before = memory.get(COUNTS)
-        if before is None or before.shape != found.shape:
-            return {**memory, COUNTS: found}
-        return {**memory, COUNTS: np.where(use[:, None, None], o.memory * before + found, before).astype(np.float32)}
-
-    def _doubted(self, pose: Array, h: Hypotheses, body: Body) -> NDArray[np.bool_]:
-        """Decide for the left and the right arm (2,) whether some rival has it elsewhere.
-
-        pose: (D,) estimate; h: the rivals and their weights.
-        """
-        rivals = h.values[h.weights > 0.02]
-        at = body.joints(np.concatenate([pose[None], rivals]))
-        s = body.skeleton
-        ends = [[s.joint(n) for n in names[1:]] for names in _ARMS]
-        apart = [np.linalg.norm(at[1:, own] - at[0, own], axis=-1).max(initial=0.0) for own in ends]
-        return np.array(apart) > self.settings.elsewhere
+        if before is not None and before.shape == found.shape:
+            found = np.where(use[:, None, None], o.memory * before + found, before).astype(np.float32)
+        memory = {**memory, COUNTS: found}
+    return memory
 
 
 def counted_colours(
@@ -290,63 +267,45 @@ FEW = 150.0
 """Number of pixels that a zone must have shown to be compared."""
 
 
-@dataclass(frozen=True)
-class Appearance:
-    """Colour counts of a person's clothes.
+NO_CLOTHES = np.zeros((len(ZONES), COLOURS), np.float32)
+"""Colour counts of the clothes of a person who has not been seen: (Z, COLOURS) pixels by zone (ZONES) and colour."""
 
-    counts: (Z, COLOURS) number of pixels by zone (ZONES: trunk, legs) and colour.
+
+def likeness(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+    """Compare the colours of clothes, (Z, COLOURS) counts each: 0 (no colour in common) to 1 (the same).
+
+    Returns: mean over the zones of the Bhattacharyya coefficient of the colour distributions; NaN where no zone is
+        known of both.
     """
-
-    counts: NDArray[np.float32]
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Zones (Z,) of which enough pixels were seen."""
-        return self.counts.sum(1) >= FEW
-
-    def __add__(self, other: Appearance) -> Appearance:
-        return Appearance(self.counts + other.counts)
-
-    def likeness(self, other: Appearance) -> float:
-        """Compare two appearances: 0 (no colour in common) to 1 (the same).
-
-        Returns: mean over the zones of the Bhattacharyya coefficient of the colour distributions; NaN where no zone is
-            known of both.
-        """
-        both = self.known & other.known
-        if not both.any():
-            return float("nan")
-        a, b = (c.counts[both] / c.counts[both].sum(1, keepdims=True) for c in (self, other))
-        return float(np.sqrt(a * b).sum(1).mean())
-
-
-def no_appearance() -> Appearance:
-    """Build the empty appearance of a person who has not been seen yet."""
-    return Appearance(np.zeros((len(ZONES), COLOURS), np.float32))
+    both = np.minimum(a.sum(1), b.sum(1)) >= FEW
+    if not both.any():
+        return float("nan")
+    shares = [counts[both] / counts[both].sum(1, keepdims=True) for counts in (a, b)]
+    return float(np.sqrt(shares[0] * shares[1]).sum(1).mean())
 
 
 @dataclass(eq=False)
 class AppearanceModel:
     """Appearance model of one person, to find out whether two people were exchanged after they met.
 
-    worn: colours from before other people came near.
-    lately: colours counted since other people came near.
+    worn: colours from before other people came near, (Z, COLOURS) pixels by zone (ZONES) and colour.
+    lately: colours counted since other people came near, likewise.
     looks: number of frames in `lately`.
     met: names of the people who came near, with the frame in which they were nearest.
     """
 
-    worn: Appearance = field(default_factory=no_appearance)
-    lately: Appearance = field(default_factory=no_appearance)
+    worn: NDArray[np.float32] = field(default_factory=lambda: NO_CLOTHES)
+    lately: NDArray[np.float32] = field(default_factory=lambda: NO_CLOTHES)
     looks: int = 0
     met: dict[str, int] = field(default_factory=dict)
 
     def settle(self) -> None:
         """Accept that the person is still the same: add the colours `lately` to `worn`, and forget the meetings."""
-        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, no_appearance(), 0, {}
+        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, NO_CLOTHES, 0, {}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Convert the colour counts to arrays for a checkpoint, which `of_arrays` reads."""
-        return {"worn": self.worn.counts, "lately": self.lately.counts}
+        return {"worn": self.worn, "lately": self.lately}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> AppearanceModel:
@@ -355,7 +314,7 @@ class AppearanceModel:
         arrays: as `arrays` returned them.
         about: as the property `about` returned them.
         """
-        return cls(Appearance(arrays["worn"]), Appearance(arrays["lately"]), int(about["looks"]), dict(about["met"]))
+        return cls(arrays["worn"], arrays["lately"], int(about["looks"]), dict(about["met"]))
 
     @property
     def about(self) -> dict[str, Any]:
@@ -363,19 +322,19 @@ class AppearanceModel:
         return {"looks": self.looks, "met": self.met}
 
 
-def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
+def appearance_in(body: Body, pose: Array, frame: Frame) -> NDArray[np.float32]:
     """Count the colours of a person's clothes in all views of a frame.
 
     pose: (D,) pose of the person in this frame.
-    Returns: counts of the pixels in the mask that show trunk and legs and that no other person covers; all 0 where the
-        frame has no pictures.
+    Returns: (Z, COLOURS) counts of the pixels in the mask that show trunk and legs and that no other person covers; all
+        0 where the frame has no pictures.
     """
-    out = no_appearance()
+    out = NO_CLOTHES
     for s, colours in zip(frame.of(Silhouettes), frame.of(Colours), strict=False):
         vertices, (faces, part, _), given = body.skin(pose), part_layout(body), s.informative
         for c in np.flatnonzero(s.usable & colours.seen).tolist():
             w, h = s.rig[c].size
             shown, box = shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
             found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
-            out = out + Appearance(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
+            out = out + np.stack([found[list(zone)].sum(0) for zone in ZONES])
     return out

@@ -7,7 +7,7 @@ Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +40,16 @@ class Region:
     half: Array | None
     margin: float
 
+    def points(self, body: Body, pose: Array) -> Array:
+        """Compute the world positions (N, 3), m, of the joints and then of the landmarks at a pose (D,)."""
+        return np.concatenate([body.joints(pose)[self.joints], body.landmark_points(pose)[self.ends]])
+
     def box(self, body: Body, pose: Array) -> Array:
         """Compute the lowest and highest corner (2, 3) of the box in the world, m, for a pose (D,)."""
-        points = body.joints(pose)[self.joints]
-        if len(self.ends):
-            points = np.concatenate([points, body.landmark_points(pose)[self.ends]])
-        if self.half is not None:
-            centre = points.mean(0)
-            return np.stack([centre - self.half, centre + self.half]) + [[-self.margin], [self.margin]]
-        return np.stack([points.min(0) - self.margin, points.max(0) + self.margin])
+        points, half = self.points(body, pose), self.half
+        middle = points.mean(0)
+        low, high = (points.min(0), points.max(0)) if half is None else (middle - half, middle + half)
+        return np.stack([low - self.margin, high + self.margin])
 
 
 def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, girth: float = 0.12) -> Region:
@@ -58,15 +59,22 @@ def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = ()
     joints, ends: names of joints and landmarks.
     girth: m at a stature of 1.75 m; the thesis gives no factors.
     """
-    s = body.skeleton
-    index = np.array([s.joint(n) for n in joints])
-    marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
-    points = s.rest_joints[index]
-    if len(marks):
-        tips = s.rest_joints[body.landmarks.joint[marks]] + body.landmarks.offset[marks]
-        points = np.concatenate([points, tips])
+    region = bounding_region(body, joints, ends, margin=girth)
+    points = region.points(body, np.zeros(body.skeleton.dof))
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    return Region(index, marks, np.full(3, 0.5 * length), girth * body.stature / 1.75)
+    return replace(region, half=np.full(3, 0.5 * length))
+
+
+def torso_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...]) -> Region:
+    """Build the fixed box of trunk and head: as wide as the shoulders, from the hips to the top of the head.
+
+    joints, ends: names of the joints and landmarks that the box bounds.
+    """
+    region = bounding_region(body, joints, ends, margin=0.12)
+    low, high = region.box(body, np.zeros(body.skeleton.dof))
+    half = 0.5 * (high - low)
+    half[:2] = half[:2].max()  # whichever way the person faces
+    return replace(region, half=half, margin=0.0)
 
 
 def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, margin: float) -> Region:
@@ -137,21 +145,9 @@ class PartitionedXor:
             return own
         # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
         boxes = boxes_in_views(self.region.box(self.body, h.mean()), frame.frame.the(Silhouettes).rig)
-        return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + own
-
-
-def partitioned_energy(
-    body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
-) -> Array:
-    """Compute the energies (N,) of eq. 2.15 for poses (N, D) in boxes (C, 4), px; zeros when no usable view has a box.
-
-    frame: prepared; faces: (F,) true for the triangles drawn, None: all.
-    """
-    masks = frame.silhouettes.masks
-    pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-    use = masks.usable & (pixels > 0)
-    if not use.any():
-        return np.zeros(len(poses))
-    flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=faces)
-    return (counts[:, use, 0] / pixels[use]).sum(1)
+        masks, body = frame.silhouettes.masks, self.body
+        pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+        use = masks.usable & (pixels > 0)
+        flat = np.ascontiguousarray(h.values, dtype=np.float64)
+        counts = silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=self.faces)
+        return (counts[:, use, 0] / pixels[use]).sum(1) + own

@@ -14,10 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body
+from hypose.body.body import Body, Landmarks
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
-from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate
+from hypose.inference.annealing import Energy, SmoothedWeight
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
     GaussianDiffusion,
@@ -36,6 +36,7 @@ from hypose.tracking.partitioned_observations import (
     bounding_region,
     chain_region,
     faces_of_parts,
+    torso_region,
 )
 from hypose.tracking.refinement import pose_mean
 
@@ -55,14 +56,6 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
     ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
 )
-
-
-def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
-    """List, per layer, the indices of the coordinates that it filters (Psi_l).
-
-    layers: name and joints of each layer.
-    """
-    return [skeleton.dofs_of(*joints) for _, joints in layers]
 
 
 CAPTURED_MOTION: dict[str, float | tuple[float, ...]] = {
@@ -106,8 +99,10 @@ def sir(body: Body, particles: int = 4000, survival: float = 0.05, frame_rate: f
     Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1).
     """
     s = body.skeleton
-    layer = Layer(diffusion(s, frame_sigma(s, frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
-    return _published("sir", (layer,), s, particles)
+    layer = Layer(
+        diffusion(s, frame_sigma(s, frame_rate)), SmoothedWeight(SilhouetteXor(), survival), systematic, "all"
+    )
+    return Recipe("sir", (layer,), particles, ("silhouettes",), estimate=pose_mean(s))
 
 
 def apf(
@@ -137,12 +132,11 @@ def apf(
     sigma = frame_sigma(s, frame_rate)
     between_layers = AdaptiveDiffusion(scale, s.lower, s.upper, sigma)
     rows = []
-    for n in range(layers if betas is None else len(betas)):
-        step = (
-            between_layers if n and betas is None else diffusion(s, annealed_sigma(sigma, n * (decay,), max(n - 1, 0)))
-        )
-        rows.append(Layer(step, _weigh(annealing_rate_of(n, betas, survival)), systematic, f"annealing {n}"))
-    return _published("apf", rows, s, particles)
+    for n, beta in enumerate(betas or layers * [None]):
+        fixed = diffusion(s, annealed_sigma(sigma, n * (decay,), max(n - 1, 0)))
+        step = between_layers if n and betas is None else fixed
+        rows.append(Layer(step, SmoothedWeight(SilhouetteXor(), survival, beta), systematic, f"annealing {n}"))
+    return Recipe("apf", rows, particles, ("silhouettes",), estimate=pose_mean(s))
 
 
 def partitioned(body: Body, particles: int = 572, survival: float = 0.05, frame_rate: float = 25.0) -> Recipe:
@@ -155,12 +149,11 @@ def partitioned(body: Body, particles: int = 572, survival: float = 0.05, frame_
     """
     s = body.skeleton
     sigma = frame_sigma(s, frame_rate)
-    rows = [_between_frames(s, sigma)]
-    for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
-        own = np.zeros(s.dof)
-        own[psi] = sigma[psi]
-        rows.append(Layer(diffusion(s, own), _weigh(SurvivalRate(survival)), systematic, name))
-    return _published("partitioned", rows, s, particles)
+    rows = [Layer(diffusion(s, sigma), None, keep, "between frames")]
+    for name, joints in HPF_LAYERS:
+        own = _only(sigma, s.dofs_of(*joints))
+        rows.append(Layer(diffusion(s, own), SmoothedWeight(SilhouetteXor(), survival), systematic, name))
+    return Recipe("partitioned", rows, particles, ("silhouettes",), estimate=pose_mean(s))
 
 
 def hpf(
@@ -179,28 +172,54 @@ def hpf(
     betas: fixed exponents, one per layer, as in the thesis; None: the survival rate sets them.
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
-    s = body.skeleton
-    sigma = frame_sigma(s, frame_rate)
-    psi = partitions_of(s, HPF_LAYERS)
-    rows = [_between_frames(s, sigma)]
-    for n, (name, _) in enumerate(HPF_LAYERS):
-        rate = annealing_rate_of(n, betas, survival)
-        rows.append(
-            Layer(
-                diffusion(s, layered_sigma(sigma, psi, nu, n)),
-                _weigh(rate),
-                LayeredResampling(filtered_mask(psi, s.dof, n)),
-                name,
-            )
-        )
-    return _published("hpf", rows, s, particles)
+    return _hierarchical("hpf", body, HPF_LAYERS, particles, survival, nu, frame_rate, betas)
 
 
-def _between_frames(skeleton: Skeleton, sigma: Array) -> Layer:
-    """Build the layer that moves all coordinates between two frames by sigma (D,), without weighing (kernel K_t of
-    Algorithms 1, 2 and 5).
+def _hierarchical(
+    recipe: str,
+    body: Body,
+    layers: Sequence[tuple[str, tuple[str, ...]]],
+    particles: int,
+    survival: float,
+    nu: float,
+    frame_rate: float,
+    betas: Sequence[float] | None,
+    *,
+    energies: Sequence[Energy] | None = None,
+    ends: Landmarks | None = None,
+    last: tuple[str, Energy, float] | None = None,
+) -> Recipe:
+    """Build a layered filter: all coordinates move between two frames, then each layer filters its own.
+
+    recipe: name of the filter; layers: name and joints of each layer; the other numbers are those of `hpf`.
+    energies: energy of each layer (default: the silhouettes').
+    ends: body ends on which a share of the particles is posed; None: none. A forearm is posed together with its upper
+        arm, so both are resampled from the first of their layers on.
+    last: name, energy and survival rate of a last layer that does not move; None: none.
     """
-    return Layer(diffusion(skeleton, sigma), None, keep, "between frames")
+    s, fixed = body.skeleton, list(betas or (len(layers) + 1) * [None])
+    sigma, psi = frame_sigma(s, frame_rate), [s.dofs_of(*joints) for _, joints in layers]
+    rows = [Layer(diffusion(s, sigma), None, keep, "between frames")]
+    for n, (name, _) in enumerate(layers):
+        filtered = filtered_mask(psi, s.dof, n)
+        kernel: Kernel = diffusion(s, layered_sigma(sigma, psi, nu, n))
+        if ends is not None:
+            limb = name if name in _DRIVEN else name.split("_")[0]
+            kernel = DetectorDriven(body, ends, kernel, _DRIVEN[limb], _only(sigma, psi[n]), limb)
+            if name.endswith("shoulder"):
+                filtered[s.dofs_of(name.replace("shoulder", "elbow"))] = True
+        weigh = SmoothedWeight(SilhouetteXor() if energies is None else energies[n], survival, fixed[n])
+        rows.append(Layer(kernel, weigh, LayeredResampling(filtered), name))
+    if last is not None:
+        everything = LayeredResampling(filtered_mask(psi, s.dof, len(layers)))
+        rows.append(Layer(stay, SmoothedWeight(*last[1:], fixed[-1]), everything, last[0]))
+    needs = ("silhouettes",) if ends is None else ("silhouettes", "detections")
+    return Recipe(recipe, rows, particles, needs, estimate=pose_mean(s))
+
+
+def _only(sigma: Array, own: NDArray[np.int64]) -> Array:
+    """Set the steps (D,) of all coordinates but `own` to 0."""
+    return np.where(np.isin(np.arange(len(sigma)), own), sigma, 0.0)
 
 
 def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
@@ -208,31 +227,6 @@ def diffusion(skeleton: Skeleton, sigma: Array) -> GaussianDiffusion:
     limits.
     """
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper)
-
-
-def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
-    """Choose how a layer gets its exponent beta (annealing rate).
-
-    layer: index of the layer.
-    betas: fixed exponents, one per layer, as in the thesis; None: the exponent is solved for the survival rate.
-    survival: share of the set that survives resampling.
-    """
-    return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
-
-
-def _weigh(rate: AnnealingRate) -> SmoothedWeight:
-    """Build the weighing of a layer by the silhouettes, with the exponent that `rate` chooses."""
-    return SmoothedWeight(SilhouetteXor(), rate)
-
-
-def _published(
-    name: str, layers: Sequence[Layer], skeleton: Skeleton, particles: int, needs: tuple[str, ...] = ("silhouettes",)
-) -> Recipe:
-    """Build a recipe that reports the mean of its set.
-
-    name: name of the method; layers, particles: see `Recipe`; needs: kinds of evidence without which it cannot be used.
-    """
-    return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
 
 
 # for each layer of the partitioned filter: joints and landmarks of its box, parts that are first drawn in it
@@ -258,7 +252,7 @@ for _side in ("left", "right"):
 
 
 def layer_regions(body: Body) -> list[tuple[Region, NDArray[np.bool_]]]:
-    """List, for each layer of HPF_LAYERS and then for the whole body, the region and the faces that are compared there.
+    """List, for each layer of HPF_LAYERS, the region and the faces that are compared there.
 
     Returns: pairs (region, (F,) true for faces of the layer's own parts and of those of the previous layers).
     """
@@ -266,22 +260,9 @@ def layer_regions(body: Body) -> list[tuple[Region, NDArray[np.bool_]]]:
     for name, _ in HPF_LAYERS:
         joints, ends, parts = _SEEN_PARTS[name]
         drawn += parts
-        build = _torso_region if name == "torso" else chain_region
+        build = torso_region if name == "torso" else chain_region
         out.append((build(body, joints, ends), faces_of_parts(body, tuple(drawn))))
-    whole = bounding_region(body, body.skeleton.joint_names, (), margin=0.25)
-    return [*out, (whole, np.ones(len(body.coarse.faces), dtype=bool))]
-
-
-def _torso_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...]) -> Region:
-    """Build the fixed box of trunk and head: as wide as the shoulders, from the hips to the top of the head.
-
-    joints, ends: names of the joints and landmarks that the box bounds.
-    """
-    region = bounding_region(body, joints, ends, margin=0.12)
-    low, high = region.box(body, np.zeros(body.skeleton.dof))
-    half = 0.5 * (high - low)
-    half[:2] = half[:2].max()  # whichever way the person faces
-    return Region(region.joints, region.ends, half, 0.0)
+    return out
 
 
 def hpf_apo(
@@ -300,19 +281,19 @@ def hpf_apo(
     betas: fixed exponents, one per layer (8); None: the survival rate sets them.
     Source: Alcoverro 2014, section 2.4.
     """
-    s = body.skeleton
-    sigma = frame_sigma(s, frame_rate)
-    psi = partitions_of(s, HPF_LAYERS)
-    rows = [_between_frames(s, sigma)]
-    for n, (region, faces) in enumerate(layer_regions(body)):
-        last = n == len(HPF_LAYERS)
-        kernel: Kernel = stay if last else diffusion(s, layered_sigma(sigma, psi, nu, n))
-        weigh = SmoothedWeight(
-            PartitionedXor(body, region, None if last else faces), annealing_rate_of(n, betas, survival)
-        )
-        name = "whole body" if last else HPF_LAYERS[n][0]
-        rows.append(Layer(kernel, weigh, LayeredResampling(filtered_mask(psi, s.dof, n)), name))
-    return _published("hpf-apo", rows, s, particles)
+    whole = PartitionedXor(body, bounding_region(body, body.skeleton.joint_names, (), margin=0.25))
+    return _hierarchical(
+        "hpf-apo",
+        body,
+        HPF_LAYERS,
+        particles,
+        survival,
+        nu,
+        frame_rate,
+        betas,
+        energies=[PartitionedXor(body, region, faces) for region, faces in layer_regions(body)],
+        last=("whole body", whole, survival),
+    )
 
 
 # one layer per limb instead of two per arm: the (5+1) form
@@ -342,35 +323,15 @@ def dd_hpf(
     survival: survival rate of every layer; betas: fixed exponents, one per layer, None: the survival rate sets them.
     layers: name and joints of each layer.
     7 layers x 500 particles. Detected ends are hands, head or ankles; they come with the frames (`Frame.detections`) or
-    from key points; without any this is `hpf`. A forearm is posed together with its upper arm, in both of its layers,
-    and both are resampled from the first of these layers on.
+    from key points; without any this is `hpf`.
     refinement: add a layer without propagation whose cost includes the distances to the detections (`dd-hpf+`).
     kappa: weight of these distances relative to the silhouettes' cost, 1 / m.
     last_survival: survival rate of that layer.
     Source: Alcoverro 2014, section 2.5.2.
     """
-    s = body.skeleton
-    ends, sigma, psi = ends_of(body), frame_sigma(s, frame_rate), partitions_of(s, layers)
-    rows = [_between_frames(s, sigma)]
-    for n, (layer, _) in enumerate(layers):
-        rate = annealing_rate_of(n, betas, survival)
-        step = layered_sigma(sigma, psi, nu, n)
-        limb = layer if layer in _DRIVEN else layer.split("_")[0]
-        own = np.zeros(s.dof)
-        own[psi[n]] = sigma[psi[n]]
-        kernel = DetectorDriven(body, ends, diffusion(s, step), _DRIVEN[limb], own, limb)
-        filtered = filtered_mask(psi, s.dof, n)
-        if layer.endswith("shoulder"):
-            filtered = filtered.copy()
-            filtered[s.dofs_of(layer.replace("shoulder", "elbow"))] = True
-        weigh = _weigh(rate)
-        rows.append(Layer(kernel, weigh, LayeredResampling(filtered), layer))
-    if refinement:
-        last = annealing_rate_of(len(layers), betas, last_survival)
-        weigh = SmoothedWeight(DetectionCost(body, ends, SilhouetteXor(), kappa), last)
-        everything = filtered_mask(psi, s.dof, len(layers))
-        rows.append(Layer(stay, weigh, LayeredResampling(everything), "refinement"))
-    return _published(name, rows, s, particles, ("silhouettes", "detections"))
+    ends = ends_of(body)
+    last = ("refinement", DetectionCost(body, ends, SilhouetteXor(), kappa), last_survival) if refinement else None
+    return _hierarchical(name, body, layers, particles, survival, nu, frame_rate, betas, ends=ends, last=last)
 
 
 def dd_hpf_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:

@@ -10,7 +10,6 @@ import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -23,21 +22,20 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import every, reflect
-from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
+from hypose.inference.layer import Layer, Recipe, Recovery, go_on
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.arm_hypotheses import RefineRivals
-from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.arm_hypotheses import RefineRivals, SolvePrediction
+from hypose.tracking.arm_workspace import ArmReach, in_practice
 from hypose.tracking.frame_evidence import PreparedFrame, limb_energy
 from hypose.tracking.left_right import look_for_exchange
-from hypose.tracking.part_colours import LearnColours
+from hypose.tracking.part_colours import learn_colours
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import (
     COMPOSITE,
     SOLVED,
     ContourRefinement,
     InTurn,
-    SolvePrediction,
     settled_start,
     solved,
     uncertainty_of_pose,
@@ -106,7 +104,7 @@ def default(
         rows.append(Layer(search, None, keep, name, turn))
     rows.append(Layer(rival_arms, None, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
-    return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)
+    return _solving(replace(base, learn=learn_colours, likes=("colours",)) if colours else base)
 
 
 def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSettings) -> RefineRivals:
@@ -116,7 +114,7 @@ def _rivals(body: Body, turns: Sequence[InTurn], rivals: int, options: SolveSett
     """
     lower, upper = in_practice(body.skeleton)
     arms = [
-        (arm_reach(body, joints, lower, upper), replace(turn, seldom=1))
+        (ArmReach(body, joints, lower, upper), replace(turn, seldom=1))
         for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
         if name.endswith("arm")
     ]
@@ -169,7 +167,7 @@ def _solving(base: Recipe) -> Recipe:
     return replace(
         base,
         start=settled_start,
-        predict=GoOn(),
+        predict=go_on,
         estimate=solved,
         uncertainty=uncertainty_of_pose,
         recover=Recovery(find=recover, rival=look_for_exchange),
@@ -182,28 +180,19 @@ class Preset:
     """Description of a named recipe that is not built for a body yet: how to build it, and which evidence it can
     use.
 
-    make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options. Or
-        "module:function", which is imported when the recipe is chosen.
+    make: function (body, frame_rate=Hz, ...) that builds the recipe; its other parameters are this recipe's options.
     citation: source of the method.
     whole_clip: key points alone are enough; they are solved in all frames together instead of frame by frame.
     needs: cues without which the recipe cannot be used; likes: cues that are used where they exist.
     evidence: the choices of evidence, the default first.
     """
 
-    make: Callable[..., Recipe] | str
+    make: Callable[..., Recipe]
     citation: str
     whole_clip: bool = False
     needs: tuple[str, ...] = ()
     likes: tuple[str, ...] = ()
     evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
-
-    @property
-    def build(self) -> Callable[..., Recipe]:
-        """Function that builds the recipe."""
-        if not isinstance(self.make, str):
-            return self.make
-        module, _, name = self.make.partition(":")
-        return getattr(import_module(module), name)
 
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
         """Check that the recipe has this kind of evidence and these options.
@@ -217,12 +206,19 @@ class Preset:
         if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
             raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
         for option in options:
-            if option not in inspect.signature(self.build).parameters:
-                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.build).parameters]
+            if option not in inspect.signature(self.make).parameters:
+                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.make).parameters]
                 raise InputError(
                     f"The recipe {name!r} has no option {option!r}; leave it out, or choose the recipe "
                     f"{' or '.join(having) or 'that has it'}."
                 )
+
+
+def _monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
+    """Build `hypose.tracking.monocular.recipe.monocular`, whose modules are imported only where it is chosen."""
+    from hypose.tracking.monocular.recipe import monocular
+
+    return monocular(body, particles, frame_rate, floor=floor)
 
 
 RECIPES: dict[str, Preset] = {
@@ -237,9 +233,7 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
     "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
-    "monocular": Preset(
-        "hypose.tracking.monocular.recipe:monocular", TRIGGS, needs=("picture",), evidence=PICTURE_CUES
-    ),
+    "monocular": Preset(_monocular, TRIGGS, needs=("picture",), evidence=PICTURE_CUES),
 }
 
 
@@ -262,7 +256,7 @@ def recipe(
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
     count = {} if particles is None else {"particles": particles}
-    made = RECIPES[name].build(body, frame_rate=frame_rate, **count, **own)
+    made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
     if refine and made.smooth is None:  # solved poses have been refined
         made = _refined(made)
     return replace(made, citation=citation_of(name, refine))

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Protocol
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,8 +21,9 @@ from hypose.body.skeleton import Skeleton
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.inference.estimates import TangentMean
+from hypose.inference.estimates import tangent_mean
 from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import Estimate
 from hypose.tracking.frame_evidence import PreparedFrame, frame_energy, mean_overlap
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
@@ -33,6 +33,7 @@ LUMBAR_SD = 0.28
 CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much and is still found, since the
 shoulders show it (Vazirian et al. 2016, lumbopelvic rhythm in the sagittal plane).
 """
+_HELD = {"spine": 1.0, "neck": 1.0, "clavicle": 4.0, "ankle": 4.0}
 KEYPOINT_SHARE = 0.003
 """Weight of the key points' log-likelihood relative to the masks' energy. Chosen on scenes with corrupted key points
 (walk, box, serve; seeds 700 and 701)."""
@@ -52,33 +53,12 @@ def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
     keypoints: the evidence has key points. Then LUMBAR_SD holds the flexion of the spine, because two points at the
         hips do not determine how the pelvis turns about them, and small errors of theirs turn it far.
     """
-    weight = _anatomical_weights(skeleton.dof_names).copy()
-    if keypoints:
-        weight[[n == "spine_rx" for n in skeleton.dof_names]] = LUMBAR_SD**-2
-    return Quadratic(np.zeros(skeleton.dof), weight)
-
-
-@lru_cache(8)
-def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
-    """Compute the weights (D,) of `anatomical_prior` without key points, from the names of the coordinates."""
-    weight = np.full(len(dof_names), 0.3)
+    names = skeleton.dof_names
+    weight = np.array([next((w for part, w in _HELD.items() if part in name), 0.09) for name in names])
     weight[:6] = 0
-    for n, name in enumerate(dof_names):
-        if name.startswith(("spine", "neck")):
-            weight[n] = 1.0
-        elif "clavicle" in name or "ankle" in name:
-            weight[n] = 2.0
-    return weight**2
-
-
-def prediction_prior(prediction: Array, weight: float) -> Quadratic:
-    """Build a quadratic prior that pulls a solve to the predicted pose (D,) with a weight (1 / rad^2), so that body
-    parts that no view sees keep moving.
-
-    The weight must stay small: at 3 per rad^2 and 25 fps it held back arms that particles had found half a radian
-        away, whose contour rows together are worth about one unit of cost.
-    """
-    return Quadratic(prediction, np.full(len(prediction), weight))
+    if keypoints:
+        weight[[n == "spine_rx" for n in names]] = LUMBAR_SD**-2
+    return Quadratic(np.zeros(skeleton.dof), weight)
 
 
 def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
@@ -104,49 +84,13 @@ class ContourRefinement:
         mean = pose_mean(s)(h)
         best = h.values[frame_energy(h.values, frame).argmin()]
         candidates = s.on_branch(np.stack([mean, frame.prediction, best]), frame.prediction)
-        winner = best_fit(refine(frame.body, candidates, frame, self.options), frame).pose
+        fits = refine(frame.body, candidates, frame, self.options)
+        poses = np.stack([f.pose for f in fits])
+        worth = mismatch(poses, frame) if frame.silhouettes.seen else [f.cost for f in fits]
+        winner = poses[np.argmin(worth)]
         values = s.clamp(h.values + (winner - mean))
         values[0] = winner
         return replace(h, values=values).marked(SOLVED, [0])
-
-
-class LaterLayer(Protocol):
-    """Interface of a layer that can start parts of its work before its turn, in parallel with other layers."""
-
-    def before_solve(self, frame: PreparedFrame, /) -> None:
-        """Start, in the background, the work that depends only on the last frame."""
-        ...
-
-    def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Start, in the background, the work that depends on the hypothesis with the role SOLVED, not on the search of
-        limbs.
-
-        h: hypotheses after the first solve; frame: prepared frame; its `shared` gets the result.
-        """
-        ...
-
-
-@dataclass(frozen=True)
-class SolvePrediction:
-    """Search kernel that solves a pose from the prediction and sets all hypotheses to the solution, as the start of
-    a search of single limbs.
-
-    One hypothesis gets the role SOLVED, another COMPOSITE, to which the search adds limb by limb.
-    later: a layer that may run in parallel with this one and the next ones.
-    """
-
-    options: SolveSettings = SolveSettings()
-    later: LaterLayer | None = None
-
-    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the set with all hypotheses at the solved pose."""
-        if self.later is not None:
-            self.later.before_solve(frame)
-        pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
-        moved = h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [min(1, h.count - 1)])
-        if self.later is not None:
-            self.later.before_search(moved, frame)
-        return moved
 
 
 @dataclass(frozen=True)
@@ -172,20 +116,9 @@ class InTurn:
         times = self.seldom if frame.depth.seen else 1
         if frame.frame.index % (self.period * times) == self.turn * times:
             return True
-        pose = member(h, SOLVED)
-        key = "settled", self.unsettled, pose.tobytes()  # the result is the same for every limb
-        settled: bool | None = frame.shared.get(key)
-        if settled is None:
-            settled = frame.shared[key] = self._is_settled(pose, frame)
-        return not settled
-
-    def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
-        """Decide whether a solved pose (D,) overlaps the masks about as well as usual; false where the usual value is
-        unknown.
-        """
-        if not np.isfinite(frame.usual_iou):
-            return False
-        return 1 - mean_overlap(frame.body, pose, frame) <= self.unsettled * (1 - frame.usual_iou)
+        # where the usual value is unknown a limb is searched as well
+        apart = 1 - mean_overlap(frame.body, member(h, SOLVED), frame)
+        return not apart <= self.unsettled * (1 - frame.usual_iou)
 
 
 def member(h: Hypotheses, role: str) -> Array:
@@ -208,18 +141,6 @@ def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, ex
     step = (skeleton.on_branch(poses, expected) - expected) / (3 * skeleton.sigma)
     cost = frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
     return cost + KEYPOINT_SHARE * frame.keypoints.cost(frame.body, poses)
-
-
-def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
-    """Choose the fit with the least mismatch; the least cost where there are no silhouettes.
-
-    fits: at least one; frame: prepared.
-    """
-    if len(fits) == 1:
-        return fits[0]
-    if not frame.silhouettes.seen:
-        return fits[int(np.argmin([f.cost for f in fits]))]
-    return fits[int(np.argmin(mismatch(np.stack([f.pose for f in fits]), frame)))]
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
@@ -246,19 +167,22 @@ def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveS
     """Solve from the starts (N, D) as `refine` does, without storing the fits.
 
     frame: prepared; options: options of the solve. With depth at most DEPTH_TRIES damping trials are made.
+    The pull to the prediction keeps body parts moving that no view sees. Its weight must stay small: at 3 per rad^2 and
+    25 fps it held back arms that particles had found half a radian away, whose contour rows together are worth about
+    one unit of cost.
     """
-    trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
-    priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
+    weight = np.full(body.skeleton.dof, frame.prediction_weight)
+    priors = (anatomical_prior(body.skeleton, frame.keypoints.seen), Quadratic(frame.prediction, weight))
     if frame.depth.seen:
         options = options._replace(tries=min(options.tries, DEPTH_TRIES))
     return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
-def pose_mean(skeleton: Skeleton) -> TangentMean:
+def pose_mean(skeleton: Skeleton) -> Estimate:
     """Build the estimate by weighted mean pose; rotation vectors are averaged on SO(3), never as raw angles across
     +-pi.
     """
-    return TangentMean(tuple(int(s) for s in skeleton.ball_starts))
+    return partial(tangent_mean, rotations=skeleton.ball_starts)
 
 
 def solved(h: Hypotheses, /) -> Array:
@@ -325,17 +249,10 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
         for weight, other in zip(h.weights[rivals], h.values[rivals], strict=True):
             step = other - pose
             step[3:6] = so3_log(so3_exp(other[3:6]) @ so3_exp(pose[3:6]).T)
-            information = _less_sure(information, step, float(weight))
+            # the covariance grows by weight x step step^T (Sherman & Morrison 1950)
+            seen = information @ step
+            information = information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
     return PoseUncertainty(around, packed(information))
-
-
-def _less_sure(information: Array, step: Array, weight: float) -> Array:
-    """Update the information (D, D) for a covariance that grows by weight x step step^T, step (D,).
-
-    Source: Sherman & Morrison 1950.
-    """
-    seen = information @ step
-    return information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
 
 
 def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
@@ -344,7 +261,7 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     information: (D, D) inverse covariance of the pose, see `PoseFit.information`.
     evidence: kind of evidence in the cost, a key of CURVATURE_FACTOR.
     """
-    factor = _factors(evidence, tuple(body.skeleton.joint_names))
+    factor = np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in body.skeleton.joint_names])
     curvature = body.skeleton.informed_joint_covariances(pose, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
@@ -375,12 +292,6 @@ NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
 """s to the furthest neighbours that are used; m/s^2, usual acceleration of a limb's joint"""
 
 
-@lru_cache(8)
-def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
-    """Look up CURVATURE_FACTOR (J,) of each joint for a kind of evidence."""
-    return np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in joint_names])
-
-
 def joint_group(name: str) -> str:
     """Return the group of a joint by its name: arms (elbow, wrist), legs (knee, ankle), head, or torso (all others)."""
     if name.endswith(("elbow", "wrist")):
@@ -405,29 +316,15 @@ def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> P
     return PoseUncertainty(around.astype(np.float32), packed(np.linalg.inv(covariance)))
 
 
-def nothing_known(joint_covariance: NDArray[np.float32], dof: int) -> PoseUncertainty:
-    """Build the uncertainty of a frame without evidence.
-
-    joint_covariance: (J, 3, 3) m^2, from the frames before; the information on the pose (D = dof) is zero.
-    """
-    return PoseUncertainty(joint_covariance, packed(np.zeros((dof, dof))))
-
-
 def packed(information: Array) -> NDArray[np.float32]:
     """Pack a symmetric matrix (D, D) as its lower triangle (D (D + 1) / 2,), float32."""
-    return information[_triangle(len(information))].astype(np.float32)
-
-
-@lru_cache(8)
-def _triangle(dof: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of the lower triangle of a matrix (D, D); D = dof."""
-    return np.tril_indices(dof)
+    return information[np.tril_indices(len(information))].astype(np.float32)
 
 
 def unpacked(triangles: ArrayLike, dof: int) -> Array:
     """Unpack lower triangles (T, D (D + 1) / 2) to symmetric matrices (T, D, D)."""
     triangles = np.asarray(triangles, dtype=np.float64)
-    rows, columns = _triangle(dof)
+    rows, columns = np.tril_indices(dof)
     out = np.zeros((len(triangles), dof, dof))
     out[:, rows, columns] = out[:, columns, rows] = triangles
     return out

@@ -12,7 +12,7 @@ filter is an addition (compare Gall et al. 2009 for contours, Carranza et al. 20
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,13 +141,11 @@ def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
     options: weights and spacing of the rows.
     """
 
-    def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
-        if isinstance(one, ContourTerm):
-            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)
-        assert isinstance(one, DepthTerm), "a shape is fitted to outlines and depth"
-        return rows_of_depth(at, one, factor, options.weight / CONTOUR_WEIGHT)
-
-    return rows
+    if isinstance(one, ContourTerm):
+        how = options.weight, options.row_spacing_px, options.normals
+        return lambda at, _, factor: rows_of_contours(at, one, factor, *how)
+    assert isinstance(one, DepthTerm), "a shape is fitted to outlines and depth"
+    return lambda at, _, factor: rows_of_depth(at, one, factor, options.weight / CONTOUR_WEIGHT)
 
 
 class _ShapeProblem(PoseProblem[Array]):

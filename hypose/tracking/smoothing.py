@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +27,8 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.compute.linear import frame_covariances
 from hypose.evidence.frame import Frame
-from hypose.evidence.terms import PointTerm
-from hypose.fitting import SolveSettings, fit_clip
+from hypose.evidence.terms import PointTerm, Term
+from hypose.fitting import Quadratic, SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch, runs
 from hypose.tracking.covariance_calibration import pose_covariance
@@ -107,13 +108,13 @@ def find_contacts(
     o = settings or ContactSettings()
     t = len(positions)
     speed = np.linalg.norm(np.gradient(positions, 1 / frame_rate, axis=0), axis=-1) if t > 1 else np.zeros((t, 4))
-    touching = np.stack([_hysteresis(s, known, o.slow, o.fast) for s in speed.T], 1)
     shortest = max(2, round(o.shortest * frame_rate))
-    touching = np.stack([_only_long(c, shortest) for c in touching.T], 1)
+    touching = np.stack([_runs_of((s < o.fast) & known, s < o.slow, 1) for s in speed.T], 1)
+    touching = np.stack([_runs_of(c, c, shortest) for c in touching.T], 1)
     floor = _common_height(positions[..., 2][touching], o)
     if np.isfinite(floor):
         high = positions[..., 2] > floor + o.near
-        touching = np.stack([_only_long(c, shortest) for c in (touching & ~high).T], 1)
+        touching = np.stack([_runs_of(c, c, shortest) for c in (touching & ~high).T], 1)
     place = np.full(positions.shape, np.nan)
     for k in range(positions.shape[1]):
         for run in runs(touching[:, k]):
@@ -128,55 +129,35 @@ def find_contacts(
     return Contacts(touching, place, floor)
 
 
-def contact_terms(
-    contacts: Contacts, soles: Landmarks, settings: ContactSettings | None = None
-) -> list[list[PointTerm]]:
+def contact_terms(contacts: Contacts, soles: Landmarks) -> list[list[PointTerm]]:
     """Build the solver terms that hold the soles at their contacts.
 
     soles: the four points on the body (`soles_of`).
     Returns: one list of terms per frame; empty where no point is in contact.
     """
-    o = settings or ContactSettings()
     return [
-        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]
+        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], ContactSettings.hold)]
         for on, place in zip(contacts.touching, contacts.place, strict=True)
     ]
 
 
-@dataclass(frozen=True)
-class FootMotion:
-    """Faults of the feet in a motion.
-
-    sliding: mean horizontal speed of points in contact, mm/s.
-    contacts: share of the frames with any contact.
-    """
-
-    sliding: float
-    contacts: float
-
-
-def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
+def sliding(positions: Array, contacts: Contacts, frame_rate: float) -> float:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
-    positions: positions of the soles; frame_rate: Hz. The sliding is 0 where there is no contact.
+    positions: positions of the soles; frame_rate: Hz.
+    Returns: mean horizontal speed of the points in contact, mm/s; 0 where there is no contact.
     Use the same contacts for all motions that are compared.
     """
     both = contacts.touching[1:] & contacts.touching[:-1]
     speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
-    return FootMotion(
-        1e3 * float(speed[both].mean()) if both.any() else 0.0,
-        float(contacts.touching.any(1).mean()),
-    )
+    return 1e3 * float(speed[both].mean()) if both.any() else 0.0
 
 
-def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float) -> NDArray[np.bool_]:
-    """Mark the frames (T,) of stretches below `fast` that fall below `slow` somewhere.
-
-    speed: (T,) m/s; known: (T,) frames outside are never marked; slow, fast: m/s.
-    """
-    out = np.zeros(len(speed), dtype=bool)
-    for run in runs((speed < fast) & known):
-        out[run.start : run.stop] = (speed[run.start : run.stop] < slow).any()
+def _runs_of(flags: NDArray[np.bool_], marks: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Keep the runs of marked frames (T,) in which at least `least` frames of marks (T,) are set."""
+    out = np.zeros(len(flags), dtype=bool)
+    for run in runs(flags):
+        out[run.start : run.stop] = marks[run.start : run.stop].sum() >= least
     return out
 
 
@@ -188,14 +169,6 @@ def _standing(points: Array, first: int, last: int, drift: float) -> list[tuple[
             out.append((begin, t))
             begin = t
     return [*out, (begin, last)]
-
-
-def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
-    """Unmark runs of marked frames (T,) that are shorter than `shortest` frames."""
-    out = np.zeros(len(flags), dtype=bool)
-    for run in runs(flags):
-        out[run.start : run.stop] = len(run) >= shortest
-    return out
 
 
 def _common_height(heights: Array, settings: ContactSettings) -> float:
@@ -245,6 +218,7 @@ _EXCESS = 2.0
 twice its speed, 60 and 125 Hz, seeds 4 and 5: with 1 its ankles are 1.2 times as wrong as frame by frame, with 2 1.02.
 """
 _SAME_PACE = 1.1
+_EVERY_FRAME = SolveSettings(iterations=6, coarse_iterations=0, damping=1e-6)
 
 
 def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array]:
@@ -288,27 +262,30 @@ def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tup
 
 
 def at_own_pace(
-    skeleton: Skeleton,
+    body: Body,
     given: Array,
+    evidence: Sequence[Sequence[Term | Gaussian]],
     frame_rate: float,
     settings: ClipSettings,
-    solve: Callable[[slice, Array, tuple[Array, Array]], Array],
+    priors: Sequence[Quadratic] = (),
+    options: SolveSettings = _EVERY_FRAME,
 ) -> Array:
     """Solve the poses (T, D) of a clip window by window, with limits adapted to the clip's own pace.
 
-    frame_rate: Hz; settings: limits and windows.
+    frame_rate: Hz; settings: limits and windows; options: settings of each solve.
     given: (T, D) start poses.
-    solve: function (part, starts, weights) that solves the frames `part` with the weights of squared second and first
-        differences.
+    evidence: terms of each frame; priors: quadratic costs on every pose.
     Each window is solved with the usual pace, then with the pace of the solution, as long as this grows. Why: the width
     of the penalties is estimated from below, so that noise is not followed.
     """
-    usual = usual_pace(skeleton, settings)
+    usual = usual_pace(body.skeleton, settings)
 
     def window(part: slice) -> Array:
         poses, pace = given[part], usual
         for _ in range(settings.rounds):
-            poses = solve(part, poses, pace_weights(pace, frame_rate))
+            acceleration, speed = pace_weights(pace, frame_rate)
+            weights = {"acceleration": acceleration, "velocity": speed}
+            poses = fit_clip(body, poses, evidence[part], priors=priors, options=options, **weights)
             before, pace = pace, own_pace(poses, frame_rate, usual)
             if all((new <= _SAME_PACE * old).all() for new, old in zip(pace, before, strict=True)):
                 break
@@ -338,19 +315,7 @@ def smooth_poses(
     evidence = [[Gaussian(q, i)] * k for q, i, k in zip(given, information, known.tolist(), strict=True)]
     if contacts is not None:
         evidence = [[*of, *held] for of, held in zip(evidence, contacts, strict=True)]
-    options = SolveSettings(iterations=6, coarse_iterations=0, damping=1e-6)
-
-    def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
-        return fit_clip(
-            body,
-            starts,
-            evidence[part],
-            acceleration=weights[0],
-            velocity=weights[1],
-            options=options,
-        )
-
-    return at_own_pace(body.skeleton, given, frame_rate, settings, solve)
+    return at_own_pace(body, given, evidence, frame_rate, settings)
 
 
 def gap_covariance(
@@ -455,14 +420,15 @@ class Smoothed:
     """Result of smoothing a clip.
 
     motion: the smoothed motion.
-    feet_before, feet: motion of the feet over the contacts that were found, before and after.
+    contacts: share of the frames with a foot on the ground; slid_before, slid: `sliding` of the feet before and after.
     one_by_one: (T, D) poses as tracked frame by frame.
     covariance: (T, D, D) covariance of the poses, from each frame alone.
     """
 
     motion: Motion
-    feet_before: FootMotion
-    feet: FootMotion
+    contacts: float
+    slid_before: float
+    slid: float
     one_by_one: Array
     covariance: Array
 
@@ -470,10 +436,10 @@ class Smoothed:
     def notes(self) -> tuple[str, ...]:
         """Write sentences about contacts and gaps for the user."""
         said = []
-        if self.feet.contacts > 0:
+        if self.contacts > 0:
             said.append(
-                f"feet in contact in {100 * self.feet.contacts:.0f} % of the frames: they slide by "
-                f"{self.feet.sliding:.0f} mm/s ({self.feet_before.sliding:.0f} as tracked)"
+                f"feet in contact in {100 * self.contacts:.0f} % of the frames: they slide by "
+                f"{self.slid:.0f} mm/s ({self.slid_before:.0f} as tracked)"
             )
         bridged = int((self.motion.extrapolated | self.motion.lost).sum())
         if bridged:
@@ -494,17 +460,10 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     settings, rate = settings or ClipSettings(), motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
-        nothing = FootMotion(0.0, 0.0)
-        return Smoothed(
-            motion, nothing, nothing, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof))
-        )
+        return Smoothed(motion, 0.0, 0.0, 0.0, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof)))
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
-    given = motion.poses
-
-    def held(contacts: list[list[PointTerm]] | None) -> Array:
-        return smooth_poses(body, given, own, rate, settings, contacts)
-
-    return with_feet(body, motion, own, held(None), held, settings)
+    solve = partial(smooth_poses, body, motion.poses, own, rate, settings)
+    return with_feet(body, motion, own, solve(), solve, settings)
 
 
 def with_feet(
@@ -530,8 +489,9 @@ def with_feet(
     spread = gap_covariance(body, poses, own, rate, settings)
     around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
-    before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
-    return Smoothed(smoothed, before, after, motion.poses, pose_covariance(own))
+    before, after = (sliding(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
+    share = float(contacts.touching.any(1).mean())
+    return Smoothed(smoothed, share, before, after, motion.poses, pose_covariance(own))
 
 
 def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:

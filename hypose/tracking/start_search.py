@@ -24,10 +24,11 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.hull import Hull
 from hypose.evidence.people import occupied_space
 from hypose.evidence.terms import PointTerm
-from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
+from hypose.inference.resampling import distinct
 from hypose.tracking.frame_evidence import PreparedFrame, evidence_energy
-from hypose.tracking.left_right import strain, turn_pose, turned_around
+from hypose.tracking.left_right import strain, turned_around, with_joints_at
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
 # ---- known poses and key points -------------------------------------------------------------------------------------
@@ -83,22 +84,13 @@ def start_from_keypoints(
             "needed to start: choose another start frame or check the calibration with `hypose check`."
         )
     term = PointTerm(points_world, np.ones(len(points_world)) if weight is None else weight, joint, offset, 0.03)
-    best: PoseFit | None = None
+    starts = []
     for root in _root_guesses(body, points_world, joint, offset, known):
         for name in ("standing", "t"):
-            start = known_pose(body, name)
-            start[:6] = root
-            fit = fit_pose(
-                body,
-                start,
-                [term],
-                priors=(anatomical_prior(body.skeleton),),
-                options=SolveSettings(iterations=40, coarse_iterations=20),
-            )
-            if best is None or fit.cost < best.cost:
-                best = fit
-    assert best is not None
-    return best
+            starts.append(np.concatenate([root, known_pose(body, name)[6:]]))
+    options = SolveSettings(iterations=40, coarse_iterations=20)
+    fits = fit_poses(body, starts, [term], priors=(anatomical_prior(body.skeleton),), options=options)
+    return min(fits, key=lambda fit: fit.cost)
 
 
 def _root_guesses(
@@ -134,22 +126,6 @@ def _root_guesses(
     return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
 
 
-def start_in_pose(body: Body, frame: PreparedFrame, names: Sequence[str]) -> PoseFit:
-    """Find the known pose and the heading that explain the silhouettes best, placed at the visual hull and solved.
-
-    frame: prepared, with masks; names: known poses to try, each in 16 headings.
-    Raises: EvidenceError where the views have no common hull.
-    Source: Alcoverro 2014, section 2.3.3 step 1.
-    """
-    hull = hull_of(frame)
-    candidates = [
-        _centred(body, turn_pose(known_pose(body, name), heading), hull)
-        for name in names
-        for heading in np.arange(16) * np.pi / 8
-    ]
-    return _best_refined(body, np.stack(candidates), frame)
-
-
 _FIRST_ROUND, _SECOND_ROUND = 16, 4
 """numbers of poses that are solved in the first and in the second round of a search"""
 RECOVERY_REACH = 1.3
@@ -168,11 +144,15 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
         hull = hull_of(frame, np.stack([last[:3] - RECOVERY_REACH, last[:3] + RECOVERY_REACH]))
     except EvidenceError:
         return pose
-    candidates = [pose]
-    for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
-        for heading in np.arange(8) * np.pi / 4:
-            candidates.append(_centred(body, turn_pose(base, heading), hull))
-    found = _best_refined(body, np.stack(candidates), frame).pose
+    bases = pose, known_pose(body, "standing"), known_pose(body, "a")
+    candidates = np.concatenate([pose[None], *(_placed(body, base, hull, 8) for base in bases)])
+    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_FIRST_ROUND]
+    # solve the best briefly, and the best of these at length: a wrong heading may overlap better than the right one
+    # until the limbs have moved
+    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, _BRIEF)])
+    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:_SECOND_ROUND]
+    poses = np.stack([f.pose for f in refine(body, moved[order], frame, SETTLING)])
+    found = poses[np.argmin(evidence_energy(body, poses, frame.evidence))]
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 
 
@@ -191,31 +171,6 @@ def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
             "the masks, or start from key points."
         )
     return hull
-
-
-def _centred(body: Body, pose: Array, hull: Hull) -> Array:
-    """Move a pose so that the mesh's centre lies at the hull's."""
-    vertices = body.skin(pose)
-    middle = 0.5 * (vertices.min(0) + vertices.max(0))
-    target = 0.5 * (hull.points.min(0) + hull.points.max(0))
-    out = pose.copy()
-    out[:3] += 0.5 * (target - middle) + 0.5 * (hull.centroid - vertices.mean(0))
-    return out
-
-
-def _best_refined(body: Body, candidates: Array, frame: PreparedFrame) -> PoseFit:
-    """Solve the best of many candidate poses (N, D) in two rounds; return the one with the least evidence energy.
-
-    frame: prepared.
-    The _FIRST_ROUND best are solved briefly, the _SECOND_ROUND best of these at length. Why: a wrong heading may
-        overlap better than the right one until the limbs have moved.
-    """
-    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:_FIRST_ROUND]
-    brief = SolveSettings(iterations=8, coarse_iterations=8)
-    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
-    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:_SECOND_ROUND]
-    fits = refine(body, moved[order], frame, SETTLING)
-    return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame.evidence)))]
 
 
 def scaled_to_height(body: Body, height: float) -> Body:
@@ -238,7 +193,6 @@ BARE = 0.6
 """Weight of uncovered mask relative to the same area of body outside the masks. Chosen, like the penalty of unusual
 statures and the softness of weights, on scenes (benchmark `starts`) of the seeds 700 to 702."""
 _HEADINGS = 24
-_YAWS = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 USUAL_M, _SPREAD = 1.70, 0.12
 """m, and relative sd: stature of people where it is unknown"""
 _BINS = 0.04
@@ -286,24 +240,29 @@ def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
 
 
 def starts_in_frame(
-    template: Body, frame: PreparedFrame, height: float | None = None, extent: float | None = None
+    template: Body,
+    frame: PreparedFrame,
+    height: float | None = None,
+    extent: float | None = None,
+    names: Sequence[str] = KNOWN_POSES,
 ) -> list[Start]:
     """Find the starts that a frame allows, best first, all different from each other.
 
     frame: prepared for any body.
     height: height of the person, m; None: unknown.
     extent: height of the hull, m, where that of another frame is more reliable.
+    names: known poses from which is searched; all of them: any posture is tried.
     Raises: EvidenceError where the views have no common hull, or its height is not that of a person.
     """
     hull = hull_of(frame)
     tall = extent or hull.height
-    base = postures(template)
-    turns = _every_way(base)
+    known = tuple(names) != KNOWN_POSES
+    base = np.stack([known_pose(template, name) for name in names]) if known else postures(template)
     spans = np.array([np.ptp(template.skin(q)[:, 2]) for q in base])
     found: list[Start] = []
     for stature, own in _by_size(template, spans, tall, height):
         body = template if stature == template.stature else scaled_to_height(template, stature)
-        places = np.concatenate([_placed(body, base[n], turns[n], hull) for n in own])
+        places = np.concatenate([_placed(body, base[n], hull, _HEADINGS) for n in own])
         cost = mask_cost(body, places, frame) + _odd(stature, height)
         for first in range(0, len(places), _HEADINGS):
             for i in first + np.argsort(cost[first : first + _HEADINGS], kind="stable")[:_PER_POSTURE]:
@@ -412,18 +371,6 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     return Starts(tuple(starts[k] for k in order), weights, unsure), order.tolist()
 
 
-def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:
-    """Find the pose of a body of known size that explains the silhouettes best.
-
-    poses: names of known poses that are tried; all known names: any posture is tried.
-    Raises: EvidenceError where the views have no common hull.
-    """
-    if tuple(poses) == KNOWN_POSES:
-        return starts_in_frame(body, frame, body.stature)[0]
-    fit = start_in_pose(body, frame, poses)
-    return Start(body, fit.pose, float(mask_cost(body, fit.pose[None], frame)[0]))
-
-
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
     """Track a start through the next frames; return the poses (F, D) and costs (F,).
 
@@ -465,24 +412,17 @@ def _odd(stature: float, height: float | None) -> float:
     return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / _SPREAD) ** 2
 
 
-def _every_way(poses: Array) -> Array:
-    """Turn poses (N, D) to all headings about the vertical; return the root's rotation vectors (N, _HEADINGS, 3)."""
-    about = np.zeros((_HEADINGS, 3))
-    about[:, 2] = _YAWS
-    return so3_log(so3_exp(about) @ so3_exp(poses[:, None, 3:6]))
-
-
-def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
-    """Place a pose at the hull in all headings (_HEADINGS, D), with its feet on the hull's lowest point."""
+def _placed(body: Body, pose: Array, hull: Hull, headings: int) -> Array:
+    """Place a pose at the hull in several headings (N, D), with its feet on the hull's lowest point."""
     low, high = hull.points.min(0), hull.points.max(0)
     middle = 0.5 * (0.5 * (low + high) + hull.centroid)
     vertices = body.skin(pose)
     own = 0.5 * (0.5 * (vertices.min(0) + vertices.max(0)) + vertices.mean(0)) - pose[:3]
-    out = np.repeat(pose[None], _HEADINGS, 0)
-    out[:, 0] = middle[0] - (np.cos(_YAWS) * own[0] - np.sin(_YAWS) * own[1])
-    out[:, 1] = middle[1] - (np.sin(_YAWS) * own[0] + np.cos(_YAWS) * own[1])
+    turns = so3_exp(np.arange(headings)[:, None] * [0.0, 0.0, 2 * np.pi / headings])
+    out = np.repeat(pose[None], headings, 0)
+    out[:, :2] = (middle - turns @ own)[:, :2]
     out[:, 2] = low[2] - (vertices[:, 2].min() - pose[2])
-    out[:, 3:6] = turns
+    out[:, 3:6] = so3_log(turns @ so3_exp(pose[3:6]))
     return out
 
 
@@ -493,16 +433,9 @@ def _own(frame: PreparedFrame, body: Body, pose: Array) -> PreparedFrame:
 
 def _different(starts: Sequence[Start], count: int) -> list[Start]:
     """Select the best starts that lie apart from each other, best first."""
-    kept: list[Start] = []
-    at: list[Array] = []
-    for start in sorted(starts, key=lambda s: s.cost):
-        joints = start.body.joints(start.pose[None])[0]
-        if all(np.linalg.norm(joints - other, axis=-1).mean() > _APART_M for other in at):
-            kept.append(start)
-            at.append(joints)
-        if len(kept) == count:
-            break
-    return kept
+    ranked = sorted(starts, key=lambda s: s.cost)
+    at = np.array([s.body.joints(s.pose) for s in ranked])
+    return [ranked[n] for n in distinct(at, count, _APART_M, np.mean)]
 
 
 # ---- postures ----
@@ -566,7 +499,6 @@ _TOGETHER: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 _ONE_ARM = ("up", "forward", "sideways")
 """Postures of one arm alone, for a person who stands or sits."""
-_TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 
 
 _SIDES = ("left", "right")
@@ -594,12 +526,11 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
     trunk = so3_exp([np.radians(lean), 0.0, 0.0])
     rest = s.rest_joints
     wanted = rest @ trunk.T
-    (left_upper, left_fore), (right_upper, right_fore) = _ARMS[left_arm], _ARMS[right_arm]
     chains = [
         ("left", ("hip", "knee", "ankle"), directions[:2]),
         ("right", ("hip", "knee", "ankle"), directions[2:]),
-        ("left", ("shoulder", "elbow", "wrist"), [left_upper, left_fore]),
-        ("right", ("shoulder", "elbow", "wrist"), [_mirrored(right_upper), _mirrored(right_fore)]),
+        ("left", ("shoulder", "elbow", "wrist"), _ARMS[left_arm]),
+        ("right", ("shoulder", "elbow", "wrist"), np.array(_ARMS[right_arm]) * (-1, 1, 1)),
     ]
     for side, chain, ways in chains:
         joints = [s.joint(f"{side}_{part}") for part in chain]
@@ -611,11 +542,4 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
     for side in _SIDES:  # bent knees and hips to begin with: straight ones may bend either way
         start[s.dofs_of(f"{side}_hip")[0]] = -0.4
         start[s.dofs_of(f"{side}_knee")] = 0.4
-    count = len(rest)
-    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.05)
-    return fit_pose(body, s.clamp(start), [points], priors=(anatomical_prior(s),), options=_TO_JOINTS).pose
-
-
-def _mirrored(way: Vector) -> Vector:
-    """Mirror a direction: the first coordinate, to the person's left, changes its sign."""
-    return -way[0], way[1], way[2]
+    return with_joints_at(body, wanted, s.clamp(start), 0.05)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hypose.body.anthropometry import SHAPE_FACTORS, entity, shape_of
 from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BLAZEPOSE_33, landmark_of
@@ -29,7 +30,6 @@ PAIRED = {
     "thigh": ("hip", "knee"),
     "shank": ("knee", "ankle"),
 }
-TRUNK_SEGMENTS = ("pelvis", "spine", "chest")
 
 ACROSS, _SD_OF_MAD, _SHORTEST = 2, 1.4826, 0.7
 """Directions across a bone; ratio of sd to the median distance from the median; least share of a measured length that
@@ -131,16 +131,11 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     shoulders, _ = factor("left_shoulder", "right_shoulder")
     shoulders = scale if np.isnan(shoulders) else float(np.clip(shoulders, 0.8 * scale, 1.2 * scale))
     trunk = scale if np.isnan(trunk) else float(trunk)
-    length: dict[str, float] = {j: trunk / scale for j in TRUNK_SEGMENTS}
-    offset: dict[str, tuple[float, float, float]] = {}
-    for side in ("left", "right"):
-        for segment, (joint, _) in PAIRED.items():
-            length[f"{side}_{joint}"] = limbs[segment] / scale
-        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
-        offset[f"{side}_hip"] = (scale / trunk, 1.0, 1.0)
-        offset[f"{side}_clavicle"] = (scale / trunk, 1.0, 1.0)
-        offset[f"{side}_shoulder"] = (shoulders / scale, 1.0, 1.0)
-    return Shape(scale=scale, length=length, offset=offset)
+    found = {"scale": scale, "torso length": trunk / scale, "shoulder width": shoulders / scale}
+    found |= {f"{segment.replace('_', ' ')} length": value / scale for segment, value in limbs.items()}
+    factors = np.zeros(len(SHAPE_FACTORS))
+    factors[[entity(name) for name in found]] = np.log(list(found.values()))
+    return shape_of(factors)
 
 
 PROPORTION = 0.4

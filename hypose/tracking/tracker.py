@@ -23,7 +23,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, FOUND_BY, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
 from hypose.tracking.frame_evidence import KeypointModel, PreparedFrame, agreement, mean_overlap, prepare, view_count
-from hypose.tracking.refinement import PoseUncertainty, nothing_known, uncertainty_of_set
+from hypose.tracking.refinement import PoseUncertainty, packed, uncertainty_of_set
 
 RECOVERED = f"{FOUND_BY}recovery"
 """Origin of an estimate that was found after a loss."""
@@ -276,7 +276,8 @@ class Tracker:
         views = view_count(prepared)
         # a person who is not there keeps the last pose, with the hypotheses of before
         by = "" if held else selected.found_by(int(selected.relative_log_weights.argmax()))
-        moved = self._moved(searched if recovered else result.first, pose) if recipe.rivals else np.zeros(0, np.float32)
+        joints = self.body.joints(np.stack([searched if recovered else result.first, pose]))
+        moved = np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)[: None if recipe.rivals else 0]
         known_of = {
             "rivals": rivals,
             "rival_weights": weights,
@@ -284,14 +285,6 @@ class Tracker:
             "moved": moved,
         }
         return following, FrameEstimate(pose, known, cost, lost, False, views, overlap, gain, **known_of)
-
-    def _moved(self, before: Array, pose: Array) -> NDArray[np.float32]:
-        """Compute the distance (J,), m, of each joint between two poses (D,).
-
-        before, pose: the two poses.
-        """
-        joints = self.body.joints(np.stack([before, pose]))
-        return np.linalg.norm(joints[1] - joints[0], axis=-1).astype(np.float32)
 
     def predicted(self, state: TrackerState) -> Array:
         """Predict the pose (D,) of the next frame from the state after the last one."""
@@ -444,14 +437,8 @@ class Tracker:
         """Decide whether an IoU is too low for the person to be there, given the usual IoU (NaN: unknown); false for a
         NaN.
         """
-        if not np.isfinite(iou):
-            return False  # key points alone: nothing to judge the silhouette by
-        floor = (
-            self.settings.lost_floor
-            if np.isnan(usual)
-            else max(self.settings.lost_floor, self.settings.lost_share * usual)
-        )
-        return bool(iou < floor)
+        # key points alone have no IoU: nothing to judge the silhouette by
+        return bool(iou < max(self.settings.lost_floor, self.settings.lost_share * np.nan_to_num(usual)))
 
     def _no_person(self, iou: float, usual: float) -> bool:
         """Decide whether an IoU is so low that the masks show no person at the place, given the usual IoU (NaN:
@@ -476,7 +463,7 @@ class Tracker:
             state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost, state.memory
         )
         rivals, weights = self._rivals(None)
-        nothing = nothing_known(covariance, s.dof)
+        nothing = PoseUncertainty(covariance, packed(np.zeros((s.dof, s.dof))))
         still = np.zeros(len(s.joint_names) if self.recipe.rivals else 0, np.float32)
         return following, FrameEstimate(
             prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights, moved=still
@@ -490,7 +477,7 @@ def motion_of(
 
     times: s; estimates: T; provenance: how the motion was made (default: empty).
     """
-    poses = np.stack([e.pose for e in estimates])
+    poses, kept = np.stack([e.pose for e in estimates]), estimates[0].rivals.size
     return Motion(
         body.skeleton,
         np.asarray(times, dtype=np.float64),
@@ -502,14 +489,9 @@ def motion_of(
         np.array([e.n_views for e in estimates], dtype=np.int64),
         np.array([e.cost for e in estimates], dtype=np.float64),
         provenance or {},
-        rivals=_stacked([e.rivals for e in estimates]),
-        rival_weights=_stacked([e.rival_weights for e in estimates]),
+        rivals=np.stack([e.rivals for e in estimates]) if kept else None,
+        rival_weights=np.stack([e.rival_weights for e in estimates]) if kept else None,
     )
-
-
-def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
-    """Stack the frames' arrays (T, K, ...); None when the method keeps no rivals."""
-    return np.stack(of_frames) if of_frames[0].size else None
 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:

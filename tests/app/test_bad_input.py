@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import write_skeletons
-from hypose.app.commands import commands_recordings
 from tests.app.conftest import fails
 
 
@@ -81,7 +80,7 @@ CANNOT_BE = [
     ("synth out --motion moonwalk", "There is no motion 'moonwalk'", "walk, jog"),
     ("synth out --rig circle", "circle", "ring-N"),
     ("synth out --subject stranger", "There is no subject 'stranger'", "neutral"),
-    ("synth out --subject 999", "There is no subject 999"),
+    ("synth out --subject 999", "There is no subject '999'"),
     ("synth out --corruption rain", "There is no corruption 'rain'", "table"),
     ("synth out --seconds -1", "--seconds -1 is not possible"),
     ("synth out --clothing 0.5", "0.5", "0.04"),
@@ -190,10 +189,10 @@ def test_debug_shows_where_the_error_came_from(hypose, tmp_path):
 
 
 def test_a_bug_is_called_one(hypose, monkeypatch):
-    def broken(text):
+    def broken(*_, **__):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(commands_recordings, "_subject_name", broken)
+    monkeypatch.setattr("hypose.synthetic.scenes.make_scene", broken)
     code, _, err = hypose("synth", "out")
     assert code == 1
     assert "Traceback" not in err

@@ -40,7 +40,7 @@ def table(study, out, columns="", *rows):
 
 
 def tasks_of(path, out):
-    tasks, refused = ordered_tasks(read_table(path), out)
+    tasks, refused = ordered_tasks(read_table(path, formats="trc,csv", overlay=False), out)
     assert not refused
     return tasks
 
@@ -50,9 +50,9 @@ def tasks_of(path, out):
 
 def test_a_row_is_a_recording_with_options(study, tmp_path):
     path = table(study, tmp_path, "name,seed,refine,height,subject", "a,3,yes,1.8,bodies/anna", ",,,,")
-    given, usual = read_table(path)[:2]
+    given, usual = read_table(path, overlay=False)[:2]
     assert given.name == "a" and usual.name == "default"
-    assert usual.command == TrackCommand(recording=study / "long", formats="trc,csv", overlay=False)
+    assert usual.command == TrackCommand(recording=study / "long", overlay=False)
     wanted = {"seed": 3, "refine": True, "height": 1.8, "subject": str(tmp_path / "bodies/anna")}
     assert given.command == replace(usual.command, **wanted)
 

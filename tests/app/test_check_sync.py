@@ -97,4 +97,4 @@ def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypo
     ]
     assert off[1] < 1.0 and np.median(off) < 0.6  # of 2 degrees; the person is 65 px tall
     hypose("check", keypoint_recording, "--frames", "0", "--samples", "1", "--refine")
-    assert (keypoint_recording / "results" / "calibration_refined_2.toml").is_file()
+    assert (keypoint_recording / "results" / "calibration_refined-2.toml").is_file()

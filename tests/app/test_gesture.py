@@ -161,18 +161,18 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
 
 
 def test_a_frame_as_lines_for_listeners():
-    frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
+    frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event(1, 3.0, 4.0, 12.0, None, "start", 1.5)])
     scores, event = map(json.loads, gesture_lines(frame, ["tee"]))
     assert scores == {"time": 1.5, "scores": {"tee": 12.0}} and event["event"] == "start"
 
 
 def test_listeners_of_a_page_elsewhere_are_refused_and_silent_ones_cost_no_threads():
-    out = SocketListeners(0, 8)
+    out = SocketListeners(0)
     held = [socket.create_connection(("127.0.0.1", out.port), timeout=HANG_S) for _ in range(300)]
     threads = threading.active_count()
     with connect(f"ws://127.0.0.1:{out.port}") as listener:
         assert threading.active_count() - threads <= 2
-        while not out.server.queues:  # the listener is entered by another thread
+        while not out.server.listeners:  # the listener is entered by another thread
             time.sleep(0.01)
         out.post("news")
         assert listener.recv(timeout=HANG_S) == "news"

@@ -193,8 +193,8 @@ def test_a_detector_in_a_file(hypose, tmp_path):
     [
         ("mine.py", "", r"--detector .*mine\.py is not understood; write FILE\.py:NAME"),
         ("none.py:D", None, r"none\.py does not exist"),
-        ("mine.py:D", "x = 1", r"has no D; it needs a class with keypoint_set, identity and detect"),
-        ("mine.py:D", "import not_there_at_all", r"cannot be loaded \(ModuleNotFoundError: .*\); correct it"),
+        ("mine.py:D", "x = 1", r"is no detector; it needs a class with keypoint_set, identity and detect"),
+        ("mine.py:D", "import not_there_at_all", r"cannot be made \(ModuleNotFoundError: .*\); correct it"),
         ("mine.py:D", "D = 5", r"is no detector; it needs a class"),
         ("mine.py:D", "class D:\n    def __init__(self): 1 / 0", r"cannot be made \(ZeroDivisionError"),
         ("mine.py:D", "class D:\n keypoint_set = 'X'\n def detect(self, i): pass", r"There is no key-point set 'X'"),

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene

@@ -84,7 +84,7 @@ def test_the_report_holds_charts_pictures_and_origin_and_loads_nothing(tracked):
     targets = re.findall(r'(?:src|href|action|data|poster)\s*=\s*"([^"]*)"', page)
     assert targets and all(t.startswith(("data:", "#")) for t in targets)
     assert not re.search(r"@import|url\(\s*['\"]?(?!#)|<script|<iframe", page)
-    assert page.count("<svg") == 4 and page.count("data:image/jpeg;base64,") >= 4
+    assert page.count("<svg") == 3 and page.count("data:image/jpeg;base64,") >= 4
     assert all(text in page for text in ("knee flexion", "stature", "sha256", "motion.c3d", "Gauss-Newton"))
 
 
@@ -150,10 +150,9 @@ def test_any_name_may_stand_in_a_chart():
 @pytest.mark.parametrize("values", [[], [np.nan, np.nan], [2.0, 2.0], [1e-7, np.nan, 3e5], [-1e6, 1e6]])
 def test_any_values_make_a_chart(values):
     y = np.array(values)
-    axes = Axes(x="x", y="y", equal=len(values) == 3)
+    axes = Axes(x="x", y="y")
     axes.line(np.arange(len(y)), y, LEFT_COLOUR)
     axes.band(np.arange(len(y)), y - 1, y + 1, LEFT_COLOUR)
-    axes.dots(np.arange(len(y)), y, LEFT_COLOUR)
     axes.stretch(0.2, 0.4, LEFT_COLOUR, "lost")
     picture = chart([[axes, Axes()]], 200)
     ElementTree.fromstring(picture)

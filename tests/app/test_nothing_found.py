@@ -60,7 +60,7 @@ def test_track_that_lost_all_frames(hypose, masks, tmp_path, all_lost):
 
 
 def test_batch_says_that_a_task_found_no_person(masks, tmp_path, all_lost):
-    tasks, _ = ordered_tasks(wanted([masks]), tmp_path / "out")
+    tasks, _ = ordered_tasks(wanted([masks], formats="trc,csv", overlay=False), tmp_path / "out")
     figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
 

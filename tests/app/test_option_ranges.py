@@ -54,3 +54,26 @@ def test_a_number_out_of_range_is_one_sentence(hypose, tmp_path, monkeypatch, co
         if value not in ("0", "1_0", "٣"):
             assert option in err.splitlines()[-1] or option in ("--floor", "--offset") and value == "-3", (value, err)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "thesis.txt"]
+
+
+KEPT_OPTIONS = 'smooth = false\noverlay = false\nheight = 1.7\nrecipe = "hpf"\nhypotheses = 7\nsubject = "mine"\n'
+
+
+def test_a_recording_keeps_options_of_track_which_the_command_line_overrides(tmp_path, monkeypatch):
+    (tmp_path / "recording.toml").write_text(f"[track]\n{KEPT_OPTIONS}")
+    made = []
+    monkeypatch.setattr("hypose.app.jobs.person_job.track_command", made.append)
+    for more in ((), ("--height", "1.8", "--recipe", "sir")):
+        with pytest.raises(SystemExit, match="0"):
+            cli.run_cli(["track", str(tmp_path), *more])
+    kept, given = made
+    assert (kept.smooth, kept.overlay, kept.height, kept.recipe, kept.particles) == (False, False, 1.7, "hpf", 7)
+    assert kept.subject == str(tmp_path / "mine") and kept.report
+    assert (given.height, given.recipe, given.particles) == (1.8, "sir", 7)
+
+
+@pytest.mark.parametrize("line", ["hight = 1.7", "height = 30", 'recipe = "best"', "smooth = 3", 'out = "elsewhere"'])
+def test_a_wrong_option_in_a_recording_is_named_with_the_file(hypose, tmp_path, line):
+    (tmp_path / "recording.toml").write_text(f"[track]\n{line}\n")
+    code, _, err = hypose("track", str(tmp_path))
+    assert code == 2 and f"{tmp_path / 'recording.toml'}, track" in err and line.split()[0] in err

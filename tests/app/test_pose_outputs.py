@@ -74,8 +74,8 @@ def test_a_pose_in_json(followed):
 
 STATUS = LiveStatus(
     "following",
-    ("cam2 is missing: no picture for 3 s",),
-    (FeedStatus("cam1", 100, 2, 29.97, 0, "", False), FeedStatus("cam2", 10, 0, 0.0, 1, "no picture for 3 s", False)),
+    ("cam2 is missing: it sends no pictures",),
+    (FeedStatus("cam1", 100, 2, 29.97, 0, "", False), FeedStatus("cam2", 10, 0, 0.0, 1, "it sends no pictures", False)),
     90,
     29.5,
     0.02,
@@ -119,7 +119,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
     receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
     receiver.start()
-    while not out.listeners.server.queues:
+    while not out.listeners.server.listeners:
         assert receiver.is_alive()
         time.sleep(0.01)
     reported(out, followed[:5])

@@ -78,7 +78,7 @@ def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
 ):
     arguments = ("track", tiny, "--out", tmp_path / "out")
     code, out, _ = interrupted("overlay", 3, *arguments)
-    assert code == 130 and "motion is complete" in out and not (tmp_path / "out" / "overlay.webm").exists()
+    assert code == 130 and "Kept: 8 of 8 frames" in out and not (tmp_path / "out" / "overlay.webm").exists()
     code, _, err = hypose(*arguments, "--resume")
     assert code == 0 and "Track:" not in err  # it was not tracked again
     assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()

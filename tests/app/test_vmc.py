@@ -140,5 +140,5 @@ def test_what_cannot_be_played_is_told(moving, tmp_path, hypose):
     for place in ("anna", "ben", "rec/results/default"):
         save_motion(moving[0], tmp_path / place / "motion.npz")
     fails(hypose("play", tmp_path), "holds the results of anna, ben")
-    fails(hypose("play", tmp_path / "rec"), "is a recording, not a result", "default")
+    fails(hypose("play", tmp_path / "rec"), "holds the results of results/default")
     fails(hypose("play", tmp_path / "anna"), "body.npz")

@@ -45,10 +45,10 @@ def test_a_spread_of_two_parts_is_found():
     sd = rng.uniform(0.005, 0.03, 4000)
     covariance = sd[:, None, None] ** 2 * np.eye(3)
     away = tailed(rng, (4000, 3)) * np.sqrt((0.7 * sd) ** 2 + 0.012**2)[:, None]
-    a, b = fit_joint([(away, covariance, np.zeros(4000))])
+    a, b = fit_joint([(away, covariance, np.zeros((4000, 3, 3)))])
     m2 = squares(away, covariance, a / UNSEEN, b / UNSEEN)
     assert covered(m2, 3) == pytest.approx(0.9, abs=0.02) and level_error(m2, 3) < 0.03
     assert level_error(m2, 3, normal=True) > 0.05
-    c, d = (x / UNSEEN for x in fit_joint([(away, covariance, np.full(4000, 0.01**2))]))
+    c, d = (x / UNSEEN for x in fit_joint([(away, covariance, np.tile(0.01**2 * np.eye(3), (4000, 1, 1)))]))
     m2 = squares(away, covariance + (0.01 / c) ** 2 * np.eye(3), c, d)
     assert covered(m2, 3) == pytest.approx(0.9, abs=0.02) and d < b

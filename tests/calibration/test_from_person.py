@@ -14,8 +14,7 @@ from hypose.calibration.sync_motion import Curves
 from hypose.calibration.two_views import rival_offsets
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import BODY_25
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import read_any, write_calibration
 from hypose.io.videos.video import VideoWriter
 
 

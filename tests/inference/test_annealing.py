@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.inference.annealing import SurvivalRate, solve_annealing_rate
+from hypose.inference.annealing import SmoothedWeight, solve_annealing_rate
 
 
 def survival_rate(energies, beta):
@@ -34,9 +34,9 @@ def test_out_of_reach():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: SurvivalRate(0.0),
-        lambda: SurvivalRate(1.1),
-        lambda: SurvivalRate(np.nan),
+        lambda: SmoothedWeight(lambda h, frame: 0.0, survival=0.0),
+        lambda: SmoothedWeight(lambda h, frame: 0.0, survival=1.1),
+        lambda: SmoothedWeight(lambda h, frame: 0.0, survival=np.nan),
     ],
 )
 def test_settings_are_checked(make):

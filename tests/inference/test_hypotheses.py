@@ -37,17 +37,16 @@ def test_take_carries_everything():
         rng.normal(size=(2, 4, 3)),
         rng.normal(size=(2, 4)),
         rng.integers(0, 9, (2, 4)),
-        covariance=rng.normal(size=(2, 4, 3, 3)),
+        columns={"covariance": rng.normal(size=(2, 4, 3, 3))},
     ).marked("solved", rng.random((2, 4)) < 0.5)
     index = np.array([[3, 3, 0], [1, 2, 1]])
     t = h.take(index)
-    assert t.covariance is not None and h.covariance is not None
     for b in range(2):
         np.testing.assert_array_equal(t.values[b], h.values[b, index[b]])
         np.testing.assert_array_equal(t.log_weights[b], h.log_weights[b, index[b]])
         np.testing.assert_array_equal(t.origin[b], h.origin[b, index[b]])
         np.testing.assert_array_equal(t.has("solved")[b], h.has("solved")[b, index[b]])
-        np.testing.assert_array_equal(t.covariance[b], h.covariance[b, index[b]])
+        np.testing.assert_array_equal(t.columns["covariance"][b], h.columns["covariance"][b, index[b]])
 
 
 def test_roles_have_names_and_exclude_nothing():

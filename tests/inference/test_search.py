@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight
+from hypose.inference.annealing import SmoothedWeight
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     GaussianDiffusion,
@@ -92,9 +92,7 @@ EVERYTHING = range(D)
 
 
 def test_plain_particle_filter():
-    recipe = Recipe(
-        "sir", (Layer(GaussianDiffusion(SIGMA), SmoothedWeight(energy, FixedAnnealingRate(0.4)), systematic),)
-    )
+    recipe = Recipe("sir", (Layer(GaussianDiffusion(SIGMA), SmoothedWeight(energy, beta=0.4), systematic),))
     same(recipe, [(SIGMA, energy_one, 0.4, EVERYTHING)])
 
 
@@ -105,7 +103,7 @@ def test_annealed_particle_filter():
         tuple(
             Layer(
                 GaussianDiffusion(annealed_sigma(SIGMA, alphas, k)),
-                SmoothedWeight(energy, FixedAnnealingRate(b)),
+                SmoothedWeight(energy, beta=b),
                 systematic,
             )
             for k, b in enumerate(betas)
@@ -122,7 +120,7 @@ def test_partitioned_sampling():
     for part in parts:
         sigma = np.where(np.isin(np.arange(D), part), SIGMA, 0.0)
         cost = partial(partition_energy, part)
-        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(cost, FixedAnnealingRate(0.5)), systematic))
+        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(cost, beta=0.5), systematic))
         expected.append((sigma, lambda x, z, p=part: energy_one(x[p], z[p]), 0.5, EVERYTHING))
     same(Recipe("partitioned", tuple(layers)), expected)
 
@@ -134,7 +132,7 @@ def test_layered_particle_filter():
         sigma = layered_sigma(SIGMA, parts, 0.8, number)
         done = sorted([*done, *part])
         select = LayeredResampling(filtered_mask(parts, D, number))
-        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(energy, FixedAnnealingRate(0.3)), select))
+        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(energy, beta=0.3), select))
         by_hand = [SIGMA[d] * 0.8 ** (number - [0, 1, 0, 2][d]) if d in done else 0.0 for d in range(D)]
         expected.append((by_hand, energy_one, 0.3, done))
     same(Recipe("hpf", tuple(layers)), expected)

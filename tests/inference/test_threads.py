@@ -9,7 +9,7 @@ SCRIPT = """
 import hashlib
 from functools import partial
 import numpy as np
-from hypose.inference.estimates import TangentMean
+from hypose.inference.estimates import tangent_mean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import AdaptiveDiffusion
 from hypose.inference.layer import Layer, Recipe, search
@@ -23,7 +23,8 @@ rng = np.random.default_rng(0)
 weigh = SmoothedWeight(lambda h, z: (h.values**2).sum(-1))
 layer = Layer(AdaptiveDiffusion(0.4), weigh, systematic)
 start = Hypotheses.uniform(rng.normal(size=(600, 36)))
-result = search(start, Recipe("r", (layer,) * 3, estimate=TangentMean((3, 6))), None, partial(stream, 0, 0))
+recipe = Recipe("r", (layer,) * 3, estimate=partial(tangent_mean, rotations=(3, 6)))
+result = search(start, recipe, None, partial(stream, 0, 0))
 a, b = rng.normal(size=(2000, 36)), rng.normal(size=2000)
 
 hessian, gradient = weighted_squares(a, geman_mcclure(b**2)[1], b)

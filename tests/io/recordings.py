@@ -4,7 +4,7 @@ import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.geometry import se3, so3_exp
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.files import toml_value
 from hypose.io.videos.video import VideoWriter
 

@@ -13,8 +13,7 @@ import pytest
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import quaternion_from_matrix, se3_inverse
-from hypose.io.calibrations.calibration_formats import find_calibration, read_any, read_plain_pickle
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any, read_plain_pickle, write_calibration
 from hypose.io.files import toml_value
 from hypose.synthetic.scenes import camera_rig
 from scripts.fuzz_targets import opencap_pickle, write_easymocap

@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks.synthetic.virtual_cameras import CameraFaults, VirtualCameras
 from hypose.errors import InputError
-from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import StreamEnded, open_camera
+from hypose.io.videos import video
+from hypose.io.videos.video import StreamEnded, open_camera
 
 SIZE = (64, 48)
 
@@ -95,7 +95,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(camera_sources, "time", clock)
+    monkeypatch.setattr(video, "time", clock)
     return clock
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.sensors.depth import _numbers, azure_camera, open_depth, open_realsense, read_realsense, write_depth_png
 from tests import missing
 
@@ -92,7 +92,7 @@ def test_a_capture_of_record3d(tmp_path, rng, monkeypatch):
     assert frames[3].depth[0, 0] == 0
     for changed in ({"K": [1.0]}, {"w": 0}, {"dw": 1e400}, {"K": None}, {"K": [0.0] * 9}):
         record3d(path, depth, **changed)
-        with pytest.raises(InputError, match="is no Record3D capture that says its lens|unusable"):
+        with pytest.raises(InputError, match="as a Record3D capture that says its lens|unusable"):
             open_depth(path)
     record3d(path, depth[:, :3])
     with pytest.raises(InputError, match="were expected"):
@@ -101,7 +101,7 @@ def test_a_capture_of_record3d(tmp_path, rng, monkeypatch):
     with pytest.raises(InputError, match="pip install pyliblzfse"):
         open_depth(path)
     path.write_bytes(b"no zip")
-    with pytest.raises(InputError, match="no Record3D capture"):
+    with pytest.raises(InputError, match="as a Record3D capture"):
         open_depth(path)
 
 

@@ -13,17 +13,28 @@ import pytest
 
 from hypose.errors import InputError, visible
 from hypose.io import files
-from hypose.io.file_names import file_name, folder_for, utf8_path
-from hypose.io.files import LOCK, atomic_path, check_writable, claimed, open_file, read_json, read_text, write_bytes
+from hypose.io.files import (
+    LOCK,
+    atomic_path,
+    check_writable,
+    claimed,
+    file_name,
+    folder_for,
+    open_file,
+    read_json,
+    read_text,
+    utf8_path,
+    write_bytes,
+)
 from hypose.io.keypoints.read_keypoints import read_keypoints
-from hypose.io.motions.results import load_archive, write_archive
+from hypose.io.motions.results import Archive, write_archive
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.io.videos.video import read_image
 from hypose.pipeline.gesture_files import load_model
 
 READERS = {
-    "motion.npz": lambda path: load_archive(path, "motion", "give another"),
+    "motion.npz": Archive("motion", "give another").load,
     "model.npz": load_model,
     "points.npy": read_keypoints,
     "points.json": read_keypoints,
@@ -70,7 +81,7 @@ def test_elements_count_as_well_as_bytes(tmp_path, dtype, shape):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("a.npy", header.getvalue())
     with pytest.raises(InputError, match="a (holds|has shape) .*; give another"):
-        load_archive(tmp_path / "a.npz", "motion", "give another")
+        Archive("motion", "give another").load(tmp_path / "a.npz")
 
 
 def test_a_list_of_contents_is_bounded_before_it_is_read(tmp_path):
@@ -81,7 +92,7 @@ def test_a_list_of_contents_is_bounded_before_it_is_read(tmp_path):
         stream.seek(0, os.SEEK_END)
         stream.write(data[-22:-10] + (3 << 30).to_bytes(4, "little") + data[-6:])
     with pytest.raises(InputError, match="lists too much"):
-        load_archive(tmp_path / "a.npz", "motion", "give another")
+        Archive("motion", "give another").load(tmp_path / "a.npz")
 
 
 def test_a_temporary_name_is_new_each_time_and_follows_no_link(tmp_path, monkeypatch):

@@ -8,8 +8,7 @@ import pytest
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp
-from hypose.io.calibrations.calibration_formats import CALIBRATIONS, read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import CALIBRATIONS, read_any, write_calibration
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.motions.export import MOTION_FILES, export_motion

@@ -20,7 +20,7 @@ from hypose.io.recordings.frames import (
     write_masks,
 )
 from hypose.io.recordings.recording import Recording, ViewSettings, load_recording, write_recording
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import write_depth_png
 from hypose.synthetic.scenes import look_at
 from tests.depth_pictures import seen_in_room

@@ -9,7 +9,7 @@ import pytest
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording import load_recording

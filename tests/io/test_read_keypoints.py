@@ -20,7 +20,7 @@ from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoints import keypoint_names
 from hypose.io.keypoints.keypoint_files import parse_openpose
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
-from hypose.io.recordings.frames import FrameSettings, load_keypoints
+from hypose.io.recordings.frames import FrameSettings, load_person, working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.scenes import camera_rig
 from tests import missing
@@ -39,7 +39,7 @@ def written(folder, layout, points=None, stated=None, keypoint_set=None):
 
 def loaded(folder):
     recording = load_recording(folder)
-    found = load_keypoints(recording, FrameSettings(longer_side=10_000))
+    found = load_person(recording, working_rig(recording.rig, FrameSettings(longer_side=10_000))).keypoints
     return recording, np.stack([k.points for k in found], 1)
 
 

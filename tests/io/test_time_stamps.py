@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.recordings.recording import keypoints_of_recording, load_recording
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import frame_times, open_video

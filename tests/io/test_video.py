@@ -32,11 +32,13 @@ def test_lossy_videos(tmp_path, ending):
         assert np.abs([f.mean() - 10 * i for i, f in enumerate(reader)]).max() < 4
 
 
+@pytest.mark.parametrize("jumps", [False, True])
 @pytest.mark.parametrize("ending", [".avi", ".mp4"])
-def test_seeking_is_exact(tmp_path, ending, rng):
+def test_seeking_is_exact(tmp_path, ending, jumps, rng):
     path = make_video(tmp_path / f"a{ending}", 60)
     reader = open_video(path)
     in_order = [f.copy() for f in reader]
+    reader.jumps = jumps
     for i in [0, 59, 30, 31, 30, *rng.integers(0, 60, 10)]:
         assert np.array_equal(reader.read(int(i)), in_order[i])
         assert reader.position == i + 1

@@ -1,5 +1,6 @@
 """The cost of a pose: derivatives of every term against finite differences, and the search against scipy."""
 
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from hypose.evidence.frame import Picture
 from hypose.fitting.problem import Posed
 from hypose.tracking.monocular.picture_rows import contour_nodes, view_of
 from hypose.tracking.monocular.points import clicked_joints
-from hypose.tracking.monocular.problem import PictureProblem, field_of, fixed_parts, frame_evidence, newton_descent
+from hypose.tracking.monocular.problem import Fixed, PictureProblem, frame_evidence, newton_descent
 from hypose.tracking.monocular.settings import FlowSettings, MonoSettings, body_dofs
 from hypose.tracking.smoothing import soles_of
 from tests.monocular.pictures import SIZE, camera, mask
@@ -42,11 +43,18 @@ def pose_of(body, seed=0, spread=0.1):
     return s.clamp(s.rest_pose() + np.random.default_rng(seed).normal(0, spread, s.dof))
 
 
+def varied(fixed, **changed):
+    """The fixed parts with some of them replaced."""
+    out = copy(fixed)
+    vars(out).update(changed)
+    return out
+
+
 def problem_of(body, active, settings=ONLY_POINTS, points=None, image=None, distance=3.5, floor=None):
     view = camera(body, distance=distance)
-    fixed = fixed_parts(body, view, active, settings, floor)
+    fixed = Fixed(body, view, active, settings, floor)
     blank = np.full((SIZE[1], SIZE[0], 3), 120, np.uint8) if image is None else image
-    return frame_evidence(fixed, Picture(view, blank), points, field_of(blank, settings), None)
+    return frame_evidence(fixed, Picture(view, blank), points)
 
 
 def numeric_gradient(cost, pose, active, h=1e-5):
@@ -80,7 +88,7 @@ def test_spheres_push_an_arm_out_of_the_trunk():
     pose[body.skeleton.dofs_of("left_shoulder")] = [0.4, 1.1, 0.0]  # the hand in the trunk
     found = evaluate(pose, problem)
     fixed = problem.fixed
-    without = problem._replace(fixed=replace(fixed, spheres=fixed.spheres._replace(weight=0.0)))
+    without = problem._replace(fixed=varied(fixed, spheres=fixed.spheres._replace(weight=0.0)))
     assert found.cost - evaluate(pose, without).cost > 20
     numeric = numeric_gradient(lambda q: evaluate(q, problem).cost, pose, problem.fixed.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
@@ -97,7 +105,7 @@ def test_the_lower_sole_is_pulled_onto_the_floor_and_none_sinks(above):
     sd = MonoSettings().floor_sd_m
     under = heights[heights < heights.min() - above] if above < 0 else heights.min()
     expected = 2 * np.log(1 + (under - heights.min() + above) ** 2 / (4 * sd**2)).sum()
-    nowhere = problem._replace(fixed=replace(problem.fixed, floor=None))
+    nowhere = problem._replace(fixed=varied(problem.fixed, floor=None))
     assert found.cost - evaluate(pose, nowhere).cost == pytest.approx(expected, abs=1e-6)
     numeric = numeric_gradient(lambda q: evaluate(q, problem).cost, pose, problem.fixed.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
@@ -144,7 +152,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     lower, upper = problem.fixed.lower, problem.fixed.upper.copy()
     knee = int(np.flatnonzero(active == s.dofs_of("left_knee")[0])[0])
     upper[knee] = truth[active[knee]] - 0.2
-    problem = problem._replace(fixed=replace(problem.fixed, upper=upper))
+    problem = problem._replace(fixed=varied(problem.fixed, upper=upper))
     start = np.clip(truth + np.random.default_rng(4).normal(0, 0.05, s.dof), s.lower, s.upper)
     found = newton_descent(start, start, problem, 0, 60)
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.mono_scenes import body_scene
+from hypose.body.anthropometry import body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
 from hypose.tracking.monocular.points import clicked_joints
-from hypose.tracking.monocular.proportions import PROPORTION_NAMES, proportions, shaped
+from hypose.tracking.monocular.proportions import proportions
 from hypose.tracking.monocular.settings import body_dofs
 
 CLICKED = tuple(
@@ -83,15 +84,14 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     assert (np.diff(h.columns["cost"]) >= 0).all()
     errors = [aligned_error(fit.body, q, scene.performance.joints[0]) for q in h.values]
     assert min(errors) < 0.15
-    variance = np.diagonal(h.covariance[0])[body_dofs(fit.body.skeleton)]
+    variance = np.diagonal(h.columns["covariance"][0])[body_dofs(fit.body.skeleton)]
     assert (variance > 0).all()
     prior = proportions(human(), scene.subject.stature)
-    assert (fit.factors >= prior.lower - 1e-9).all()
-    assert (fit.factors <= prior.upper + 1e-9).all()
+    assert (np.abs(fit.factors - prior.interval.mean(0)) <= np.ptp(prior.interval, axis=0) / 2 + 1e-9).all()
 
 
 def test_the_height_is_known_or_that_of_adults() -> None:
-    scale = PROPORTION_NAMES.index("scale")
+    scale = entity("scale")
     known, unknown = proportions(human(), 1.9), proportions(human(), None)
-    assert shaped(human(), known.centre).stature == pytest.approx(1.9, abs=0.01)
+    assert body_of(human(), known.centre).stature == pytest.approx(1.9, abs=0.01)
     assert known.sd[scale] < unknown.sd[scale] / 4

@@ -154,8 +154,8 @@ def test_bad_input_is_refused_in_a_sentence(clip):
     small, grey = np.zeros((h // 2, w // 2, 3), np.uint8), np.zeros((h, w), np.uint8)
 
     refused = (
-        (small, None, InputError, r"Frame 4 is 120 x 100 px, camera cam 240 x 200"),
-        (grey, None, InputError, "Frame 4: a picture must be"),
+        (small, None, InputError, r"Frame 4: a picture of camera cam must be .200, 240, 3. uint8, got .100, 120"),
+        (grey, None, InputError, "Frame 4: a picture of camera cam must be"),
         (pictures[0], grey, EvidenceError, "Frame 4: the mask is empty"),
         (pictures[0], grey[: h // 2, : w // 2], InputError, "Frame 4: the mask is 120 x 100"),
     )

@@ -9,16 +9,14 @@ from benchmarks.depth_sensors.sensor_choice import Choice, cases
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
-from hypose.fusion.register import triangle_transform
+from hypose.fusion.fuse import common_positions, fuse_clip
+from hypose.fusion.register import register, triangle_transform
 from hypose.fusion.swarm import (
     HIGH,
     LOW,
     MEDIUM,
     PUBLISHED,
-    PUBLISHED_CONFIDENCE,
     PUBLISHED_RULES,
-    ConfidenceSettings,
     MergedWheel,
     NoiseRules,
     SwarmFrame,
@@ -83,14 +81,14 @@ def test_published_registers_every_frame_by_its_triangle_alone(rng):
         both = np.stack([truth, moved])
         state = np.where(np.isfinite(both[..., 0]), 2, 0).astype(np.uint8)
         frames.append(SensorJoints(both, state, np.full(2, t / 30), jt.COMMON, ("a", "b")))
-    settings = FusionSettings(check=False, swarm=replace(PUBLISHED, radius_m=1e-6, restart_every=0))
-    clip = fuse_clip(frames, "published", settings)
+    settings = replace(PUBLISHED, radius_m=1e-6, restart_every=0)
+    clip = fuse_clip(frames, "published", swarm=settings)
     # the candidates of both sensors ride on the same place, but for frame 7
     spread = np.linalg.norm(common_positions(clip.motion) - truth, axis=-1).max(1)
     assert (np.delete(spread, 7) < 1e-4).all() and spread[7] > 0.01
     last = triangle_transform(truth[list(jt.TRIANGLE)], frames[-1].positions[1, list(jt.TRIANGLE)])
     np.testing.assert_allclose(clip.registration.common_from_sensor[1], last, atol=1e-9)
-    window = fuse_clip(frames, "published-window", settings)
+    window = fuse_clip(frames, "published-window", register(np.stack([f.positions for f in frames])), swarm=settings)
     assert np.nanmean(np.linalg.norm(window.motion.joints[0] - clip.motion.joints[0], axis=-1)) > 0.01
 
 
@@ -106,15 +104,14 @@ def test_section_2_5_the_joint_is_the_average_of_the_candidates_that_the_wheel_l
 
 
 def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
-    settings = ConfidenceSettings(window=5)
     positions = np.cumsum(rng.normal(0, 0.02, (23, 2, 15, 3)), axis=0)
     times = np.cumsum(rng.uniform(0.02, 0.05, (23, 2)), axis=0)  # ds/dt: clocks of their own, uneven
-    state, memory = np.full((2, 15), 2, np.uint8), start_confidence(2, settings)
+    state, memory = np.full((2, 15), 2, np.uint8), start_confidence(2, 5)
     speeds, activations = [np.zeros((2, 15))], []
     for t in range(1, 23):
         speeds.append(np.linalg.norm(positions[t] - positions[t - 1], axis=-1) / (times[t] - times[t - 1])[:, None])
     for t in range(23):
-        memory, raw = confidence_step(memory, positions[t], state, (), times[t], settings)
+        memory, raw = confidence_step(memory, positions[t], state, (), times[t], False)
         activations.append(sum(speeds[max(0, t - 4) : t + 1]))
         expected = np.sqrt(np.mean((activations[-5:] - np.mean(activations[-5:], axis=0)) ** 2, axis=0))
         np.testing.assert_allclose(raw[0], expected, atol=1e-9)
@@ -123,11 +120,11 @@ def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
 def test_depth_error_is_the_difference_along_z_and_a_hole_reads_as_the_whole_distance():
     z, depth = np.full((2, 15), 2.5), np.full((2, 15), 2.4)
     depth[1, 4] = 0.0
-    published, _ = depth_error(z, depth, np.zeros((2, 15)), PUBLISHED_CONFIDENCE)
+    published, _ = depth_error(z, depth, np.zeros((2, 15)), False)
     assert published[0, 0] == pytest.approx(0.1)
     assert published[1, 4] == pytest.approx(2.5)
     held = np.full((2, 15), 0.07)
-    cured, _ = depth_error(z, depth, held, ConfidenceSettings(thickness=True, hold=True))
+    cured, _ = depth_error(z, depth, held, True)
     assert cured[1, 4] == pytest.approx(0.07)
     assert cured[0, 4] == pytest.approx(abs(0.1 - 0.042))
 
@@ -145,12 +142,12 @@ def test_equation_6_a_right_angle_is_natural_a_straight_limb_is_not_and_other_jo
 def test_section_2_4_inputs_are_divided_by_their_maximum_over_the_sensors():
     raw = np.zeros((3, 2, 15))
     raw[0, :, 4] = 0.02, 0.08
-    n = normalised(raw, PUBLISHED_CONFIDENCE)
+    n = normalised(raw, False)
     assert n[0, :, 4].tolist() == [0.25, 1.0]
     assert np.all(n[1:] == 0)
     raw[1, :, 4] = 0.01, 0.02
-    assert normalised(raw, PUBLISHED_CONFIDENCE)[1, :, 4].tolist() == [0.5, 1.0]
-    floored = normalised(raw, ConfidenceSettings(floor_m=0.15))
+    assert normalised(raw, False)[1, :, 4].tolist() == [0.5, 1.0]
+    floored = normalised(raw, True)
     assert floored[1, 1, 4] == pytest.approx(0.02 / 0.15)
 
 

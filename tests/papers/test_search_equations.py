@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, solve_annealing_rate
+from hypose.inference.annealing import SmoothedWeight, solve_annealing_rate
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, annealed_sigma, layered_sigma, stay
 from hypose.inference.layer import Layer, Recipe, search, stream
@@ -43,7 +43,7 @@ def test_algorithm_1_generic_run():
 def test_equation_2_9_smoothed_weight(beta):
     cost = np.array([0.3, 1.1, 0.7, 2.4])
     h = Hypotheses.uniform(np.zeros((4, 1)))
-    smoothed = h.reweighted(SmoothedWeight(lambda h, z: cost, FixedAnnealingRate(beta))(h, None)).weights
+    smoothed = h.reweighted(SmoothedWeight(lambda h, z: cost, beta=beta)(h, None)).weights
     expected = np.exp(-cost) ** beta
     np.testing.assert_allclose(smoothed, expected / expected.sum())
 
@@ -70,7 +70,7 @@ def test_algorithm_2_annealed_run_concentrates_the_set():
                         GaussianDiffusion(annealed_sigma(np.full(3, 0.3), [0.4] * layers, k)),
                         SmoothedWeight(
                             lambda h, z: 20 * np.square(h.values - z).sum(-1),
-                            FixedAnnealingRate((k + 1) / layers),
+                            beta=(k + 1) / layers,
                         ),
                         systematic,
                     )
@@ -144,7 +144,7 @@ def test_algorithm_5_keeps_the_diversity_of_what_was_not_filtered():
     h = Hypotheses.uniform(stream(0, -1, 0).normal(size=(200, 2)))
     layer = Layer(
         GaussianDiffusion(layered_sigma(sigma, parts, 0.8, 0)),
-        SmoothedWeight(lambda h, z: 50 * np.square(h.values[:, 0]), FixedAnnealingRate(1.0)),
+        SmoothedWeight(lambda h, z: 50 * np.square(h.values[:, 0]), beta=1.0),
         LayeredResampling(np.array([True, False])),
     )
     after = search(h, Recipe("lpf", (layer,)), None, partial(stream, 0, 0)).resampled

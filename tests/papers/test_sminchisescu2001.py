@@ -25,7 +25,7 @@ from hypose.tracking.monocular.picture_rows import (
     view_of,
 )
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
-from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_evidence, moving_edges, score
+from hypose.tracking.monocular.problem import Fixed, frame_evidence, moving_edges, score
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import camera, picture, wall
 from tests.monocular.test_cost import FLOW, evaluate, flow_problem
@@ -45,8 +45,8 @@ def scene():
 
 def problem_of(scene, settings):
     body, _, image = scene
-    fixed = fixed_parts(body, camera(body), body_dofs(body.skeleton), settings)
-    return frame_evidence(fixed, Picture(camera(body), image), None, field_of(image, settings), None)
+    fixed = Fixed(body, camera(body), body_dofs(body.skeleton), settings)
+    return frame_evidence(fixed, Picture(camera(body), image), None)
 
 
 def seen_at(problem, pose):

@@ -15,14 +15,14 @@ from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import Member, TrackedPerson, shape_of
 from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.part_colours import Appearance, appearance_in, no_appearance
+from hypose.tracking.part_colours import FEW, NO_CLOTHES, appearance_in, likeness
 from hypose.tracking.recipes import recipe
 from hypose.tracking.start_search import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 RIG = named_rig("ring-3").scaled(0.5).pinhole()
 BODY = human()
-RED, BLUE = (Appearance(np.eye(COLOURS, dtype=np.float32)[[k, k]] * 1000) for k in (40, 300))
+RED, BLUE = (np.eye(COLOURS, dtype=np.float32)[[k, k]] * 1000 for k in (40, 300))
 
 
 def standing(x):
@@ -59,11 +59,11 @@ def followed(name, places, frames=None):
 
 def test_what_a_person_wears_is_what_the_pictures_show_where_the_body_is():
     red, blue = (appearance_in(BODY, standing(0.0), frame_of([(0.0, code)])) for code in (40, 300))
-    assert red.known.all()
-    assert red.likeness(red) == pytest.approx(1.0)
-    assert red.likeness(blue) < 0.2
-    assert not appearance_in(BODY, standing(0.0), replace(frame_of([(0.0, 40)]), colours=None)).known.any()
-    assert np.isnan(red.likeness(no_appearance()))
+    assert (red.sum(1) >= FEW).all()
+    assert likeness(red, red) == pytest.approx(1.0)
+    assert likeness(red, blue) < 0.2
+    assert not appearance_in(BODY, standing(0.0), replace(frame_of([(0.0, 40)]), colours=None)).any()
+    assert np.isnan(likeness(red, NO_CLOTHES))
 
 
 def met(anna, bert):
@@ -85,7 +85,7 @@ def test_two_who_wear_each_others_clothes_after_a_meeting_were_exchanged():
     assert anna.member.state.pose[0] == pytest.approx(standing(1.0)[0])
     assert anna.hidden == bert.hidden == [False, True, True]
     assert "taken for bert from frame 1 to 2" in anna.said[0]
-    assert anna.appearance.worn.likeness(RED) > 0.99  # and they are not exchanged again
+    assert likeness(anna.appearance.worn, RED) > 0.99  # and they are not exchanged again
     assert update_appearance([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
 
 
@@ -96,7 +96,7 @@ def test_two_who_wear_their_own_or_the_same_clothes_stay_who_they_are():
         anna.appearance.worn = anna.appearance.lately = worn
         bert.appearance.worn = bert.appearance.lately = other
         assert update_appearance([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
-        assert not anna.appearance.met and anna.appearance.worn.known.all()
+        assert not anna.appearance.met and (anna.appearance.worn.sum(1) >= FEW).all()
 
 
 RATE, FRAMES, SINCE = 25.0, 40, 34

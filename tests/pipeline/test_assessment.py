@@ -66,4 +66,4 @@ def test_a_verdict_comes_back_from_its_document():
     found = assess(m)
     assert found.frames == (range(10, 20),) and "frames 10-19" in found.sentence
     assert Assessment.of_document(found.document()) == found
-    assert found.with_joints(m)["low_confidence"] == {"right_wrist": [[10, 20]]}
+    assert found.document(m)["low_confidence"] == {"right_wrist": [[10, 20]]}

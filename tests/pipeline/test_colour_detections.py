@@ -38,11 +38,13 @@ def silent(recording):
 def test_hands_and_head_are_found_in_videos(scene, silent):
     subject = known_subject(scene)
     with FrameStream(silent) as stream:
-        frames = list(tracked_frames(stream, range(len(stream)), ("silhouettes", "detections"), subject))
+        frames = list(
+            tracked_frames(stream, range(len(stream)), ("silhouettes", "detections"), subject.body, subject.start)
+        )
         alone = ColourDetections(stream, subject.body, subject.start)
         last = alone.frame(len(stream) - 1)
         alone.close()
-        plain = next(iter(tracked_frames(stream, range(1), ("silhouettes",), subject)))
+        plain = next(iter(tracked_frames(stream, range(1), ("silhouettes",), subject.body, subject.start)))
     assert plain.detections is None
     found = 0
     for t, frame in enumerate(frames):

@@ -15,7 +15,7 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
+from hypose.io.sensors.skeleton_files import SensorStream, SkeletonRecording
 from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows, skeletons_at_frames
 from hypose.pipeline.sources import FrameList
 from hypose.pipeline.track import track_source

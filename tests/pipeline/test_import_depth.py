@@ -9,7 +9,7 @@ from hypose.calibration.depth_registration import CoarseAlignment
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.geometry import se3_inverse
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.recordings.frames import FrameStream, working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png

@@ -11,7 +11,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
 from hypose.pipeline.moved_sensors import moved_sensors
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameList, PlacedSource, placed
+from hypose.pipeline.sources import FrameList, placed, placed_source
 from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -55,7 +55,7 @@ def test_a_camera_that_stands_elsewhere_is_found_and_put_right():
     assert degrees < 0.5 and metres < SETTINGS.moved_off_m / 2
     assert np.array_equal(places[0].camera_from_world[0], RIG[0].camera_from_world)
     assert len(said) == 1 and said[0].text.startswith("d1 stood") and "from frame" in said[0].text
-    right = PlacedSource(source, places)
+    right = placed_source(source, places)
     last = right.frame(23)
     assert last.depth is not None and last.silhouettes is not None
     assert last.depth.rig[1].camera_from_world == pytest.approx(places[0].camera_from_world[1])

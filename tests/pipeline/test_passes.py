@@ -80,10 +80,10 @@ def test_a_fault_planted_in_the_search_of_a_frame_is_named(frames, subject, tmp_
     def spoilt(clip):
         clip, j = own(clip), subject.body.skeleton.joint_names.index(JOINT)
         estimates = clip.estimates
-        for t in FRAMES:
-            moved = estimates[t].moved.copy()
-            moved[j] = 0.4
-            estimates[t] = replace(estimates[t], moved=moved, origin="by limb search")
+        for t, estimate in enumerate(estimates):
+            moved = estimate.moved.copy()
+            moved[j] = 0.4 if t in FRAMES else 0.0
+            estimates[t] = replace(estimate, moved=moved, origin="by limb search")
         return clip
 
     exchange(own, spoilt, monkeypatch)

@@ -10,7 +10,7 @@ from hypose.evidence.frame import Frame
 from hypose.pipeline.start_choice import best_ways
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.left_right import turned_around
-from hypose.tracking.start_search import KNOWN_POSES, Start, scaled_to_height, start_in_pose
+from hypose.tracking.start_search import Start, scaled_to_height, starts_in_frame
 
 RATE = 12.5
 
@@ -21,7 +21,7 @@ def walk():
     scene = small_scene(1, 24)
     frames = list(scene.mask_frames())[::2]
     body = scaled_to_height(human(), scene.subject.stature)
-    pose = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
+    pose = starts_in_frame(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), body.stature)[0].pose
     return scene, frames, Start(body, pose, 0.2), Start(body, turned_around(body, pose), 0.1)
 
 

@@ -12,7 +12,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.start_choice import check_borders, check_start, cut_edges
-from hypose.pipeline.subject import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import SubjectOptions, estimate_subject
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.start_search import known_pose
 
@@ -51,7 +51,7 @@ def enlarged(frame, factor):
 
 
 def estimate(frame, **options):
-    return estimate_subject(lambda i: frame, 2, 25.0, human(), AnthropometryOptions(frames=1, rate=25.0, **options))
+    return estimate_subject(lambda i: frame, 2, SubjectOptions(frames=1, rate=25.0, **options))
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(100, "cm"), (1000, "mm")])
@@ -88,4 +88,4 @@ def test_a_start_that_explains_nothing():
 
 def test_a_pose_that_is_not_held_is_named(views):
     with pytest.raises(EvidenceError, match=r"Frame 0 does not show the pose 'hands-up'.*--start hull"):
-        estimate(seen(views), poses=("hands-up",))
+        estimate(seen(views), start="hands-up")

@@ -15,7 +15,6 @@ from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import contour_term
 from hypose.pipeline.subject import (
-    AnthropometryOptions,
     SubjectOptions,
     estimate_subject,
     find_subject,
@@ -89,24 +88,22 @@ def test_height_and_mass_are_kept(body, moving, frame_of):
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     person = body_of(body, shape(scale=0.05, thigh_girth=0.1, clothing=0.1))
     frames = [frame_of(person, standing, k) for k in range(3)]
-    options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeSettings(iterations=(2, 2, 3)))
+    options = SubjectOptions("standing", frames=2, rate=25.0, passes=2)
     told = []
-    found = estimate_subject(
-        lambda i: frames[i], 3, 25.0, body, options, progress=lambda done, total: told.append((done, total))
-    )
+    found = estimate_subject(lambda i: frames[i], 3, options, lambda done, total: told.append((done, total)))
     assert told == sorted(told) and told[-1] == (9, 9)
     assert found.body.stature == pytest.approx(person.stature, abs=0.03)
     assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
     assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
     assert found.sizes.girths["waist"] < sizes_of(found.body).girths["waist"]
     # written, read back, and used for the next recording of the person
-    saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
+    saved, toml = save_subject(tmp_path / "anna", found, 'the "first"')
     document = tomllib.loads(toml.read_text())
     assert document["sizes"]["stature"]["cm"] == pytest.approx(100 * found.naked.stature, abs=0.01)
     assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in SHAPE_FACTORS}
     for path in (saved, toml, saved.parent):
         np.testing.assert_array_equal(load_subject(path).fine.vertices, found.body.fine.vertices)
-    again = find_subject(lambda i: frames[i], 3, SubjectOptions(body=load_subject(saved), start="standing", known=True))
+    again = find_subject(lambda i: frames[i], 3, SubjectOptions(body=load_subject(saved), start="standing"))
     np.testing.assert_array_equal(again.body.coarse.vertices, found.body.coarse.vertices)
     assert np.abs(again.body.joints(again.start) - person.joints(standing)).max() < 0.12
     with pytest.raises(InputError, match="nobody"):
@@ -116,7 +113,7 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
 def test_a_single_view_is_refused(body, standing, frame_of):
     frame = frame_of(body, standing, 0, dead=(1, 2, 3))
     with pytest.raises(EvidenceError, match="two views"):
-        estimate_subject(lambda i: frame, 3, 25.0, body)
+        estimate_subject(lambda i: frame, 3)
 
 
 # --- the thesis' filter -------------------------------------------------------------------------------------------

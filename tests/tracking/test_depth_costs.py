@@ -6,7 +6,7 @@ import pytest
 from hypose.body.default_body import human
 from hypose.evidence.cues import MEASURED
 from hypose.tracking.arm_hypotheses import LookedUp, rival_arms
-from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.arm_workspace import ArmReach, in_practice
 from hypose.tracking.frame_evidence import frame_energy, limb_energy, prepare
 from hypose.tracking.start_search import known_pose
 from tests.depth_pictures import frame_of, sensors
@@ -37,7 +37,7 @@ def test_of_many_arms_those_that_may_win_are_measured_and_the_best_is_the_best_o
 
 def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monkeypatch):
     s = BODY.skeleton
-    arm = arm_reach(BODY, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(s))
+    arm = ArmReach(BODY, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(s))
 
     def is_seen(pose):
         return frame.depth.shows_arm(BODY, frame.depth.standing(BODY, pose, arm.moving), s.joint("left_shoulder"))

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.errors import EvidenceError
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import recover, start_from_hull, start_from_keypoints
+from hypose.tracking.start_search import recover, start_from_keypoints, starts_in_frame
 from tests.tracking.measures import joint_error
 
 
@@ -34,7 +34,7 @@ def test_start_from_hull_finds_place_and_heading(body, standing, frame_of):
     true = standing.copy()
     true[:2] = [0.25, -0.2]
     prepared = prepare(frame_of(body, true), body, np.zeros_like(true))
-    fit = start_from_hull(body, prepared)
+    fit = starts_in_frame(body, prepared, body.stature)[0]
     assert joint_error(body, fit.pose, true) < 0.04
 
 

@@ -12,13 +12,13 @@ from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.scenes import camera_rig
-from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.arm_workspace import ArmReach, in_practice
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.part_colours import (
     COUNTS,
     PARTS,
     ColourSettings,
-    LearnColours,
+    learn_colours,
     pictured_arms,
 )
 from hypose.tracking.recipes import default
@@ -59,7 +59,7 @@ def learnt(body, standing, painted):
     memory = {}
     for t in range(5):
         frame = prepare(painted(standing, t), body, standing)
-        memory = LearnColours()(memory, standing, Hypotheses.uniform(standing[None]), frame)
+        memory = learn_colours(memory, standing, Hypotheses.uniform(standing[None]), frame)
     return memory
 
 
@@ -85,7 +85,7 @@ def seen(body, pose, memory, painted):
 
 @pytest.fixture(scope="module")
 def left_arm(body):
-    return arm_reach(body, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(body.skeleton), count=8)
+    return ArmReach(body, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(body.skeleton), count=8)
 
 
 @pytest.mark.parametrize("by", [-0.35, -0.25])

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.terms import PointTerm
-from hypose.inference.annealing import SmoothedWeight, SurvivalRate
+from hypose.inference.annealing import SmoothedWeight
 from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import systematic
@@ -61,7 +61,7 @@ def own_recipe(body, particles=150):
     s = body.skeleton
     layer = Layer(
         GaussianDiffusion(0.5 * s.sigma, s.lower, s.upper),
-        SmoothedWeight(SilhouetteXor(), SurvivalRate(0.2)),
+        SmoothedWeight(SilhouetteXor(), survival=0.2),
         systematic,
     )
     return Recipe("mine", [layer] * 4, particles, needs=("silhouettes",), estimate=pose_mean(s))

@@ -96,8 +96,8 @@ def test_feet_are_held(body, swing, rng):
     noisy = body.skeleton.clamp(swing + noise)
     given = np.stack([packed(i) for i in information(swing, 0.05)])
     found = smooth_motion(body, motion_of(body, noisy), given)
-    assert found.feet.contacts > 0.8
-    assert found.feet.sliding < 0.3 * found.feet_before.sliding
+    assert found.contacts > 0.8
+    assert found.slid < 0.3 * found.slid_before
     assert any("slide" in note for note in found.notes)
 
 
@@ -135,6 +135,6 @@ def test_key_points_of_a_whole_clip_are_tracked(body, swing, small_rig, rng):
     sd = motion.joint_sd.mean(1)
     assert (np.diff(sd[13:]) > 0).all() and sd[8] > sd[7] and np.isfinite(sd).all()
     assert motion.n_views[0] == len(small_rig) and motion.n_views[20] == 0
-    assert found.feet.contacts > 0.2 and found.feet.sliding <= found.feet_before.sliding + 1e-9
+    assert found.contacts > 0.2 and found.slid <= found.slid_before + 1e-9
     with pytest.raises(EvidenceError, match="0 of 3 frames"):
         track_keypoint_clip(body, model, [None] * 3, swing[0], RATE)

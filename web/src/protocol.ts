@@ -13,17 +13,16 @@ export interface ResultEntry {
   /** Absent where the motion cannot be read; lost: share of the frames. */
   assessment?: "good" | "look" | "not to be trusted" | null; sentence?: string | null; iou?: number | null; sd_mm?: number | null; lost?: number;
 }
-export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
 /** A recording of live sensors; result: what it was fused to. */
 export interface SkeletonsEntry { id: Id; name: string; path: string; result: Id | null }
 export interface ModelEntry {
-  id: Id; name: string; path: string; gestures: string[]; growing: boolean; thresholds: (number | null)[];
+  id: Id; path: string; gesture: string; threshold: number | null;
 }
 export interface SourceEntry { value: string; title: string; gestures?: string[]; missing?: string }
 
 export interface State {
   version: string; root: string; recordings: RecordingEntry[]; results: ResultEntry[];
-  sessions: SessionEntry[]; models: ModelEntry[]; sources: SourceEntry[];
+  models: ModelEntry[]; sources: SourceEntry[];
   skeletons: SkeletonsEntry[]; jobs: Job[];
 }
 
@@ -86,8 +85,7 @@ export interface NewRecording {
 export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "keypoints" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine" | "fuse";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
-  name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
-  left_s: number | null; unit: string;
+  name: string; title: string; done: number; total: number; seconds: number; unit: string;
 }
 export interface Job {
   /** The next job on the way to a motion follows by itself. */

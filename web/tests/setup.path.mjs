@@ -68,7 +68,7 @@ await walk(
     const before = await pictures();
     await page.getByRole("slider", { name: "Difference" }).press("ArrowRight");
     await page.waitForFunction((n) => window.__app.pictures >= n + 4, before);
-    assert.match(await page.locator(".mask-pictures img").first().getAttribute("src"), /threshold=4\.5/);
+    assert.match(decodeURIComponent(await page.locator(".mask-pictures img").first().getAttribute("src")), /"threshold":4\.5/);
     await picture("setup-masks");
     await page.getByRole("button", { name: "Use these settings" }).click();
     await page.getByText("made with these settings").waitFor();

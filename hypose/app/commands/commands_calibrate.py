@@ -22,16 +22,15 @@ from hypose.calibration.from_boards import BoardCalibration, BoardsNotFound, Cal
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.calibration.from_points import PointCalibration, calibrate_from_points, read_scene_points
 from hypose.calibration.views import count_corners, find_sources
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names, person_size
 from hypose.evidence.one_person import without_held
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_text import check_toml, write_calibration
+from hypose.io.calibrations.calibration_formats import check_toml, read_any, write_calibration
 from hypose.io.files import check_writable
+from hypose.io.recordings.frames import candidates_of
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_people import candidates_of
 from hypose.options import named_values
 from hypose.pipeline.recording_diagnostics import window
 
@@ -122,11 +121,11 @@ def _show_points(result: PointCalibration) -> None:
     """Print how well a calibration from measured points fits."""
     rows = []
     for camera, sd in zip(result.rig, result.position_sd, strict=True):
-        errors, (x, y, z) = result.errors[camera.name], camera.position
+        errors = result.errors[camera.name]
         worst = max(errors, key=errors.__getitem__)
-        fit = f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}", f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}"
+        fit = f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}", _place(camera, sd)
         rows.append((camera.name, str(len(errors)), *fit))
-    columns = ("camera", "points", "worst point (px)", "focal (px)", "position (m)", "uncertain by (mm)")
+    columns = ("camera", "points", "worst point (px)", "focal (px)", _PLACE)
     print_table(f"Fit of the points: {result.rms_px:.2f} px rms", columns, rows)
     _say_notes(result)
 
@@ -165,22 +164,30 @@ def _from_boards(c: CalibrateCommand, sheet: Path) -> CameraRig:
 
 def _show(result: BoardCalibration) -> None:
     """Print how well a calibration from boards fits."""
-    fit, rows = result.fit, []
-    for c, (camera, view) in enumerate(zip(result.rig, result.views, strict=True)):
-        sd, position_sd, (x, y, z) = fit.focal_sd[c], fit.position_sd[c], camera.position
-        rows.append((
+    fit = result.fit
+    rows = [
+        (
             camera.name,
             f"{len(view.sightings)} of {len(view.looks)}",
             str(sum(1 for k, _ in fit.dropped if k == c)),
             f"{100 * view.coverage:.0f} %",
             f"{fit.camera_rms[c]:.2f}",
-            f"{camera.K[0, 0]:.1f}" + (f" +- {sd:.1f}" if sd == sd else " (given)"),
-            f"{x:.3f} {y:.3f} {z:.3f}",
-            f"{1e3 * position_sd:.0f}" if position_sd == position_sd else "-",
-        ))  # fmt: skip
-    columns = ("camera", "boards", "left out", "area", "rms (px)", "focal (px)", "position (m)", "uncertain by (mm)")
+            f"{camera.K[0, 0]:.1f}" + (f" +- {fit.focal_sd[c]:.1f}" if np.isfinite(fit.focal_sd[c]) else " (given)"),
+            _place(camera, fit.position_sd[c]),
+        )
+        for c, (camera, view) in enumerate(zip(result.rig, result.views, strict=True))
+    ]
+    columns = ("camera", "boards", "left out", "area", "rms (px)", "focal (px)", _PLACE)
     print_table(f"Joint fit of all boards: {fit.rms_px:.2f} px rms", columns, rows)
     _say_notes(result)
+
+
+_PLACE = "position +- uncertainty (m)"
+
+
+def _place(camera: Camera, sd: float) -> str:
+    """Format the position of a camera, with its standard deviation (m), for a table."""
+    return " ".join(f"{x:.3f}" for x in camera.position) + (f" +- {sd:.3f}" if np.isfinite(sd) else "")
 
 
 def _say_notes(result: PointCalibration | BoardCalibration) -> None:
@@ -274,13 +281,18 @@ def with_focal_lengths(rig: CameraRig, given: Sequence[str]) -> CameraRig:
 
 def _show_person(found: PersonCalibration) -> None:
     """Print how well a calibration from a person fits."""
-    sds, rows = found.sds, []
-    for k, (camera, late) in enumerate(zip(found.rig, found.late, strict=True)):
-        f, (x, y, z) = camera.K[0, 0], camera.position
-        focal = f"{f:.0f}" + (f" +- {sds.focal[k] * f:.0f}" if sds.focal[k] else "")
-        place = f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sds.place_m[k]:.0f}", f"{sds.turn_deg[k]:.2f}"
-        rows.append((camera.name, f"{late:+.2f} +- {sds.late[k]:.2f}", focal, *place))
-    columns = ("camera", "late (frames)", "focal (px)", "position (m)", "uncertain by (mm)", "turned by (deg)")
+    sds = found.sds
+    rows = [
+        (
+            camera.name,
+            f"{found.late[k]:+.2f} +- {sds.late[k]:.2f}",
+            f"{camera.K[0, 0]:.0f}" + (f" +- {sds.focal[k] * camera.K[0, 0]:.0f}" if sds.focal[k] else ""),
+            _place(camera, sds.place_m[k]),
+            f"{sds.turn_deg[k]:.2f}",
+        )
+        for k, camera in enumerate(found.rig)
+    ]
+    columns = ("camera", "late (frames)", "focal (px)", _PLACE, "turned by (deg)")
     print_table(f"Fit of the person's key points: {found.median_px:.1f} px median", columns, rows)
     for text in found.approximate:
         say(f"warning: approximate: {text}.", "yellow")

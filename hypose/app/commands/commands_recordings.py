@@ -10,16 +10,16 @@ import re
 import shlex
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
-from hypose.app.options import SynthCommand, TrackCommand
+from hypose.app.options import TrackCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.io.file_names import natural_key
-from hypose.io.files import claimed, toml_lines, write_text
+from hypose.io.files import claimed, natural_key, toml_lines, write_text
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
@@ -34,7 +34,6 @@ def init(
     show the empty room, files named board or calib are for hypose calibrate.
     """
     from hypose.calibration.views import find_sources
-    from hypose.io.calibrations.calibration_formats import read_any
     from hypose.io.videos.video import VIDEO_ENDINGS
 
     target, where = folder / "recording.toml", shlex.quote(str(folder))
@@ -55,26 +54,15 @@ def init(
         places = ", ".join(sorted({str(p.parent) for p in videos}))
         raise InputError(f"{folder} holds videos in several places ({places}); make a folder for each recording.")
     names = [source.name for source in find_sources([folder / v for v in videos])]
-    calibration, cameras = folder / "calibration.toml", names
-    if calibration.is_file():
-        cameras = list(read_any(calibration)[0].names)
-        if set(names) <= set(cameras):
-            cameras = names
-        elif len(cameras) != len(names):
-            raise InputError(
-                f"{calibration} has {len(cameras)} cameras and there are {len(names)} videos; leave some out."
-            )
+    calibration = folder / "calibration.toml"
     lines = toml_lines({"name": folder.resolve().name, "calibration": calibration.name})
-    for video, name, camera in zip(videos, names, cameras, strict=True):
+    for video, name in zip(videos, names, strict=True):
         room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
-        table = {"name": name, "video": video.as_posix()}
-        table |= {"camera": camera} if calibration.is_file() else {}  # else by name or order, when there is one
-        table |= {} if room is None else {"background": room.as_posix()}
+        table = {"name": name, "video": video.as_posix(), "background": None if room is None else room.as_posix()}
         lines += ["", "[[view]]", *toml_lines(table)]
-        shown = "" if room is None else f", empty room {room}"
-        say(f"{name}: {video}, camera {camera}{shown}")
+        say(f"{name}: {video}" + ("" if room is None else f", empty room {room}"))
     write_text(target, "\n".join(lines) + "\n")
-    say(f"Written: {target}; names, cameras and empty rooms can be corrected there (docs/recordings.md).")
+    say(f"Written: {target}; names and empty rooms can be corrected there (docs/recordings.md).")
     if calibration.is_file():
         say(f"Next: hypose check {where}")
     else:
@@ -123,54 +111,68 @@ def silhouettes(
     say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
 
 
-def synth(c: SynthCommand) -> None:
-    """Write a synthetic recording (`hypose synth`)."""
+def synth(
+    folder: Annotated[Path, Option("Folder to write the recording to.", argument=True, value="OUT")],
+    motion: Annotated[
+        str, Option("walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.", value="NAME")
+    ] = "walk",
+    subject: Annotated[str, Option("Name or number of a subject. [default: chosen by the seed]", value="WHO")] = "",
+    rig: Annotated[str, Option("humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.", value="NAME")] = "humaneva-4",
+    sensors: Annotated[
+        str,
+        Option(
+            "Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round).", value="NAME"
+        ),
+    ] = "",
+    seconds: Seconds = 4.0,
+    frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0,
+    corruption: Annotated[
+        tuple[str, ...],
+        Option("What goes wrong: table, desync, dead-camera, ... (may be repeated).", value="NAME"),
+    ] = (),
+    clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
+    distorted: Annotated[bool, Option("Lenses without distortion.")] = True,
+    keypoints: Annotated[bool, Option("Write 2D key points (OpenPose JSON) as well.")] = False,
+    raw: Annotated[
+        bool, Option("As it is filmed: videos of a board, the empty room and the person, to practise on.")
+    ] = False,
+    seed: Seed = 0,
+    threads: Threads = None,
+) -> None:
+    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.scenes import make_scene
+    from hypose.synthetic.subjects import load_subjects
 
-    if c.raw and c.keypoints:
+    if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
-    write_recording.check_folder(c.folder)
-    if c.sensors and (c.raw or c.keypoints or c.corruption):
+    write_recording.check_folder(folder)
+    if sensors and (raw or keypoints or corruption):
         raise InputError(
             "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
         )
-    about = {"seconds": c.seconds, "frame_rate": c.frame_rate, "seed": c.seed, "clothing_m": c.clothing}
-    who = _subject_name(c.subject)
-    if c.sensors:
-        scene = write_recording.walking_scene(c.motion, who, c.sensors, **about)
+    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
+    names = list(load_subjects())
+    who = names[int(subject)] if subject.isdigit() and int(subject) < len(names) else subject
+    if sensors:
+        scene = write_recording.walking_scene(motion, who, sensors, **about)
     else:
-        scene = make_scene(c.motion, who, c.rig, corruption=c.corruption, distorted=c.distorted, **about)
-    unfinished = f"Stopped; {c.folder} is not complete. Start again with the same command."
-    with stopping(unfinished), claimed(c.folder, "OUT"), Stages() as progress:
-
-        def shown(done: int, total: int) -> None:
-            progress("render", done, total)
-
+        scene = make_scene(motion, who, rig, corruption=corruption, distorted=distorted, **about)
+    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
+        shown = partial(progress, "render")
         if isinstance(scene, DepthScene):
-            path = write_recording.write_depth_scene(scene, c.folder, progress=shown)
-        elif c.raw:
-            path = write_recording.write_session(scene, c.folder, progress=shown)
+            path = write_recording.write_depth_scene(scene, folder, progress=shown)
+        elif raw:
+            path = write_recording.write_session(scene, folder, progress=shown)
         else:
-            path = write_recording.write_scene(scene, c.folder, keypoints=c.keypoints, progress=shown)
-    kind = "depth cameras (simulated)" if c.sensors else "cameras"
+            path = write_recording.write_scene(scene, folder, keypoints=keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if sensors else "cameras"
     say(f"{path}: {scene.name}, {counted(len(scene), 'frame')}, {len(scene.rig)} {kind}")
-    if c.raw:
+    if raw:
         board = write_recording.BOARD
         say(f"The board has {board.columns} x {board.rows} inner corners and squares of {1000 * board.square:g} mm.")
-
-
-def _subject_name(text: str) -> str:
-    """Return a subject's name from its name or number."""
-    if not text.isdigit():
-        return text
-    from hypose.synthetic.subjects import load_subjects
-
-    names = list(load_subjects())
-    if int(text) >= len(names):
-        raise InputError(f"There is no subject {text}; the subjects are 0 to {len(names) - 1}: {', '.join(names)}.")
-    return names[int(text)]
 
 
 def depth_import(
@@ -256,7 +258,7 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     from hypose.app.jobs.job import job_of, track_shown
-    from hypose.pipeline.comparison import compare_with
+    from hypose.pipeline.comparison import compare_with_truth
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
 
@@ -266,7 +268,12 @@ def demo(
     with claimed(out), Stages() as progress:
         write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
-    track_shown(replace(job_of(TrackCommand(recording=out, threads=threads)), truth=compare_with(out / "truth.npz")))
+    track_shown(
+        replace(
+            job_of(TrackCommand(recording=out, threads=threads)),
+            truth=lambda motion: compare_with_truth(out / "truth.npz", motion),
+        )
+    )
 
 
 def correct(
@@ -354,28 +361,26 @@ def batch(
     if not dry_run:
         require_dask("distributed")  # before all files are read
     split_names(formats)
-    drafts = wanted(recordings, {"formats": formats, "overlay": overlay})
+    drafts = wanted(recordings, formats=formats, overlay=overlay)
     results = out or recordings[0].parent / f"{recordings[0].stem}-results"
     if out is None and recordings[0].suffix.lower() != ".csv":
         results = Path("batch-results")
     with stopping(_GO_ON), Stages() as progress:
-        tasks, refused = ordered_tasks(drafts, results, progress)
-        rows = refused
+        tasks, rows = ordered_tasks(drafts, results, progress)
         if dry_run:
             done = sum(finished_metrics(t) is not None for t in tasks)
-            say(f"{counted(len(tasks), 'task')}: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
+            say(f"{counted(len(tasks), 'task')}: {done} finished, {len(tasks) - done} to do, {len(rows)} refused")
         else:
             with claimed(results):
-                count = workers or os.cpu_count() or 1
-                done = run_batch(tasks, results, progress, workers=count, threads=threads, scheduler=scheduler)
-                rows = [*done, *refused]
+                many = {"workers": workers or os.cpu_count() or 1, "threads": threads, "scheduler": scheduler}
+                rows = [*run_batch(tasks, results, progress, **many), *rows]
                 write_table(rows, results)
+    states = [row["state"] for row in rows]
     for row in rows:
         if row["state"] == "failed":
             print_note(f"{row['recording']}, {row['name']}: {row['message']}")
     if dry_run:
-        raise Exit(1 if refused else 0)  # as the batch itself would end
-    states = [row["state"] for row in rows]
+        raise Exit(1 if rows else 0)  # as the batch itself would end
     before = sum(row.get("before", False) for row in rows)
     parts = [f"{states.count('done')} of {len(rows)} done ({before} were before)"]
     parts += [f"{states.count(s)} {s}" for s in ("failed", "stopped") if s in states]

@@ -26,11 +26,9 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import undistorted
 from hypose.evidence.keypoints import openpose_document
 from hypose.geometry import Array
-from hypose.io.file_names import file_name, folder_for
-from hypose.io.files import check_writable, claimed, write_text
-from hypose.io.recordings.frames import mask_folder, write_frame_masks
+from hypose.io.files import check_writable, claimed, file_name, folder_for, write_text
+from hypose.io.recordings.frames import RecordedPerson, mask_folder, write_frame_masks
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
-from hypose.io.recordings.recording_people import RecordedPerson
 from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound

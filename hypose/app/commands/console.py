@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -109,13 +110,10 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def error(text: str) -> None:
-    """Print the sentence that ends a failed command; without colours where memory is exhausted."""
-    try:
-        from rich.text import Text
+    """Print the sentence that ends a failed command."""
+    from rich.text import Text
 
-        err().print(Text.assemble(("error: ", "bold red"), text))
-    except MemoryError:
-        sys.stderr.write(f"error: {visible(text)}\n")
+    err().print(Text.assemble(("error: ", "bold red"), text))
 
 
 def _bars(console: Console) -> Progress:
@@ -167,16 +165,14 @@ class Stages:
     """
 
     def __init__(self, quiet: bool = False) -> None:
-        console = err()
+        self._console, self._quiet = err(), quiet
         self.seconds: dict[str, float] = {}
         self._began: dict[str, float] = {}
         self._tasks: dict[str, TaskID] = {}
         self._said: dict[str, float] = {}
-        self._json = bool(os.environ.get(JSON_PROGRESS)) and not quiet
-        self._plain = None if quiet or console.is_terminal or self._json else console
-        self._bars: Progress | None = None
-        if console.is_terminal and not quiet and not self._json:
-            self._bars = _bars(console)
+        self._json = bool(os.environ.get(JSON_PROGRESS))
+        shown = self._console.is_terminal and not quiet and not self._json
+        self._bars: Progress | None = _bars(self._console) if shown else None
 
     def __enter__(self) -> Stages:
         if self._bars is not None:
@@ -191,36 +187,26 @@ class Stages:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` steps of a stage are done."""
-        now = time.monotonic()
-        began = self._began.setdefault(stage, now)
-        self.seconds[stage] = now - began
+        now, first, last = time.monotonic(), stage not in self._began, done >= total
+        elapsed = self.seconds[stage] = now - self._began.setdefault(stage, now)
         title = TITLES.get(stage, stage.capitalize())
         if self._bars is not None:
-            task = self._tasks.get(stage)
-            if task is None:
+            if first:
                 unit = "frames" if stage in COUNTED_IN_FRAMES else ""
-                task = self._tasks[stage] = self._bars.add_task(title, total=total, unit=unit)
-            self._bars.update(task, completed=done, total=total)
-        elif self._plain is not None:
-            self._say_plainly(stage, title, done, total, now)
-        elif self._json and (done in (0, total) or now - self._said.get(stage, 0.0) >= _JSON_SECONDS):
-            self._said[stage] = now
-            print(
-                json.dumps({"stage": stage, "title": title, "done": done, "total": total}), file=sys.stderr, flush=True
-            )
-
-    def _say_plainly(self, stage: str, title: str, done: int, total: int, now: float) -> None:
-        first, last = stage not in self._said, done >= total
-        if not first and not last and now - self._said[stage] < _PLAIN_SECONDS:
+                self._tasks[stage] = self._bars.add_task(title, total=total, unit=unit)
+            self._bars.update(self._tasks[stage], completed=done, total=total)
             return
-        if self._said.get(stage) == float("inf"):
+        due = now - self._said.get(stage, -math.inf) >= (_JSON_SECONDS if self._json else _PLAIN_SECONDS)
+        if self._quiet or not (done == 0 or last or due):
             return
-        self._said[stage] = float("inf") if last else now
-        elapsed = now - self._began[stage]
+        self._said[stage] = now
+        if self._json:
+            shown = {"stage": stage, "title": title, "done": done, "total": total}
+            print(json.dumps(shown), file=sys.stderr, flush=True)
+            return
         rate = f", {done / elapsed:.1f} per s" if elapsed > 0.5 and done else ""
         left = f", {(total - done) * elapsed / done:.0f} s left" if rate and not last else f", {elapsed:.1f} s"
-        if self._plain is not None:
-            self._plain.print(f"{title}: {done}/{total}{rate}{left if not first or last else ''}", markup=False)
+        self._console.print(f"{title}: {done}/{total}{rate}{left if done else ''}", markup=False)
 
 
 _Item = TypeVar("_Item")

@@ -4,7 +4,7 @@ agree), and correct its calibration.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -20,9 +20,9 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Image
-from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.files import check_writable, write_bytes, write_text
-from hypose.io.motions.results import to_json
+from hypose.io.calibrations.calibration_formats import write_calibration
+from hypose.io.files import check_writable, free_path, write_bytes, write_text
+from hypose.io.motions.results import json_values, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_views import open_pictures
@@ -61,13 +61,13 @@ def check(c: CheckCommand) -> None:
         check_writable((c.to or path).parent, "--to")
     report = cured = None
     with Stages() as progress:
-        found = check_recording(loaded, path, c.samples, progress)
+        facts, warnings = check_recording(loaded, path, c.samples, progress)
         if c.frames > 0:
-            report, cured = examine_recording(loaded, c.frames, path.with_suffix(".html"), path, found, progress)
-    write_findings(path.with_suffix(".json"), found, report)
-    for text in found.facts:
+            report, cured = examine_recording(loaded, c.frames, path, facts, warnings, progress)
+    write_findings(path.with_suffix(".json"), facts, warnings, report)
+    for text in facts:
         say(text)
-    for text in found.warnings:
+    for text in warnings:
         say(f"warning: {text}", "yellow")
     if report is not None:
         _print_report(report)
@@ -76,7 +76,7 @@ def check(c: CheckCommand) -> None:
     if c.refine:
         _refine(loaded, cured, c)
         return
-    if found.warnings or (report is not None and not report.healthy):
+    if warnings or (report is not None and not report.healthy):
         raise Exit(1)
     say("No problem found.", "green")
 
@@ -112,7 +112,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
             height=c.height or loaded.subject_height,
             progress=progress,
         )
-    target = c.to or _free_name(loaded.folder / "results" / "calibration_refined.toml")
+    target = c.to or free_path(loaded.folder / "results", "calibration_refined", ".toml")
     for text in result.notes:
         say(f"note: {text}")
     why = ""
@@ -133,8 +133,6 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
     if any("world is turned" in n for n in loaded.notes):
         say('note: this file is z up already: use it with world_up = "z".')
     say(f"Use it: hypose track {loaded.folder} --calibration {target}")
-    for text in [] if cured is None else _settings(loaded, cured):
-        say(f"Also set in recording.toml: {text}")
 
 
 def _print_changes(result: Refinement) -> bool:
@@ -151,32 +149,6 @@ def _print_changes(result: Refinement) -> bool:
         say(f"{what}: {before:.2f} -> {after:.2f} px (median of frames not used)")
     before, after = next(iter(result.residuals.values()), (1.0, 0.0))
     return after < before
-
-
-def _settings(recording: Recording, cured: Cured) -> list[str]:
-    """List the settings of recording.toml that correct the faults that were measured, as sentences."""
-    out = [f"keypoint_lag = {recording.keypoint_lag + cured.keypoint_lag}"] if cured.keypoint_lag else []
-    for view, shift in zip(recording.views, cured.shift, strict=True):
-        x, y = (np.array(view.image_shift) + shift).round(1)
-        out += [f"view {view.name}: image_shift = [{x:g}, {y:g}]"] if shift.any() else []
-    return out
-
-
-def _free_name(path: Path) -> Path:
-    """Return the path, or the first free numbered one, since calibrations are never overwritten."""
-    number, free = 2, path
-    while free.exists():
-        free = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        number += 1
-    return free
-
-
-@dataclass(frozen=True)
-class Findings:
-    """Result of a check: facts and warnings, each a sentence."""
-
-    facts: tuple[str, ...]
-    warnings: tuple[str, ...]
 
 
 def print_cameras(recording: Recording) -> None:
@@ -207,12 +179,14 @@ def _name(path: Path | None) -> str:
     return "-" if path is None else path.name
 
 
-def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
+def check_recording(
+    recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore
+) -> tuple[list[str], list[str]]:
     """Check masks and visual hulls of some frames spread over the recording, and write the contact sheet.
 
     sheet: picture to write.
     samples: number of frames.
-    Returns: facts and warnings.
+    Returns: facts and warnings, each a sentence.
     Raises: EvidenceError where no frame shows a person.
     """
     facts: list[str] = []
@@ -248,21 +222,21 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         )
     if len(recording.views) == 1:
         facts.append("There is one camera, so that no views can be compared; look at its masks in the contact sheet.")
-    return Findings(tuple(facts), tuple(dict.fromkeys(warnings)))
+    return facts, list(dict.fromkeys(warnings))
 
 
 def examine_recording(
     recording: Recording,
     frames: int,
-    page: Path,
     sheet: Path,
-    found: Findings,
+    facts: Sequence[str],
+    warnings: Sequence[str],
     progress: ProgressCall = ignore,
 ) -> tuple[PersonReport | None, Cured | None]:
-    """Check the calibration on `frames` consecutive frames, and write the HTML page.
+    """Check the calibration on `frames` consecutive frames, and write the HTML page next to the contact sheet.
 
-    page, sheet: files of the page and of the contact sheet.
-    found: result of `check_recording`, for the page.
+    sheet: file of the contact sheet.
+    facts, warnings: result of `check_recording`, for the page.
     Returns: report, and the recording with measured faults corrected; None where there is nothing to check.
     """
     if len(recording.views) < 2 and not recording.depth_views:
@@ -276,41 +250,38 @@ def examine_recording(
     finally:
         progress("doctor", 1, 1)
     write_check_page(
-        page,
+        sheet.with_suffix(".html"),
         recording.name,
         report,
         sheet,
         residual_picture(recording, observed, cured),
-        (*recording.notes, *found.facts),
-        found.warnings,
+        (*recording.notes, *facts),
+        warnings,
     )
     return report, cured
 
 
-def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
+def write_findings(path: Path, facts: Sequence[str], warnings: Sequence[str], report: PersonReport | None) -> None:
     """Write the findings of a check as a JSON file for the studio.
 
     The file has facts, warnings, findings, figures per view, and the name of the page.
-    path: file to write.
 
-    found: result of `check_recording`.
+    path: file to write.
+    facts, warnings: result of `check_recording`.
     report: result of `examine_recording`; None without one.
     """
     value = {
-        "healthy": not found.warnings and (report is None or report.healthy),
-        "facts": found.facts,
-        "warnings": found.warnings,
+        "healthy": not warnings and (report is None or report.healthy),
+        "facts": facts,
+        "warnings": warnings,
         "findings": [
             {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence, "cure": f.cure}
             for f in (report.findings if report is not None else ())
         ],
-        "views": [
-            {k: None if isinstance(v := getattr(view, k), float) and not np.isfinite(v) else v for k in _FIGURES}
-            for view in (report.views if report is not None else ())
-        ],
+        "views": [{k: getattr(view, k) for k in _FIGURES} for view in (report.views if report is not None else ())],
         "page": "check.html" if report is not None else None,
     }
-    write_text(path, to_json(value))
+    write_text(path, to_json(json_values(value)))
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
@@ -381,12 +352,19 @@ def write_sheet(recording: Recording, source: FrameStream, path: Path, count: in
     """
     rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
     numbers = recording.frames
+    shown = [(numbers[row], Drawing(source.frame(row).silhouettes, f"frame {numbers[row]}")) for row in rows]
+    write_frames(recording, shown, path)
+
+
+def write_frames(recording: Recording, shown: Iterable[tuple[int, Drawing]], path: Path) -> None:
+    """Write a picture of frames, one below the other, each with all views.
+
+    shown: number and drawing of each frame.
+    """
     with open_images(recording) as images:
-        canvas, pictures = Canvas(recording, images), []
-        for row in rows:
-            what = Drawing(source.frame(row).silhouettes, f"frame {numbers[row]}")
-            pictures.append(canvas.draw([v.read(numbers[row]) for v in images], what).copy())
-    picture = np.concatenate(pictures)
+        canvas = Canvas(recording, images)
+        rows = [canvas.draw([v.read(number) for v in images], what).copy() for number, what in shown]
+    picture = np.concatenate(rows)
     h, w = picture.shape[:2]
     if w > _SHEET_WIDTH:
         size = _SHEET_WIDTH, round(h * _SHEET_WIDTH / w)

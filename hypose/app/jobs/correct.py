@@ -26,11 +26,12 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import later, list_changes, trace_of, with_trace
 from hypose.pipeline.recorded_frames import frames_wanted
+from hypose.pipeline.run import TrackResult
 from hypose.pipeline.sources import FrameSource
 from hypose.pipeline.subject import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.track import track_source
@@ -124,9 +125,7 @@ def corrected_motion(
         record["since"] = first + start
         joined = join(joined, tracked(range(first + start, first + row + 1), True), start, None)
     joined = join(joined, tracked(range(first + row, first + stop), False), row, record)
-    save_body(body, out.file("body.npz"))
-    save_motion(joined, out.motion)
-    out.write_json("provenance.json", joined.provenance)
+    TrackResult(joined, body, True, ()).save(out.path)
     for name in each(progress, "export", formats):
         export_motion(joined, body, out.path, (name,))
     for path in each(progress, "report", [out.file("report.html")]):
@@ -249,5 +248,5 @@ def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: 
     """
     if options.looks_at == "silhouettes":
         return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
-    wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
+    wanted = SubjectOptions("keypoints", girths=False, body=body, frame_rate=part.frame_rate, seed=options.seed)
     return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))

@@ -6,10 +6,10 @@ import asyncio
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
-from click.exceptions import Exit
 from numpy.typing import NDArray
 
 from hypose.app.commands.console import (
@@ -22,8 +22,8 @@ from hypose.app.commands.console import (
     say,
     stopping,
 )
-from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, split_names, track_shown
-from hypose.app.live.live_server import FusionServerOptions, run_live
+from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, print_figures, split_names, track_shown
+from hypose.app.live.live_server import LiveServer, run_live
 from hypose.app.options import FuseCommand, TrackCommand
 from hypose.app.reports.report_parts import require_found
 from hypose.body.body import Body
@@ -31,22 +31,21 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import AlignSettings, Instant, SensorBody, SensorView, offset_by_movement
-from hypose.fusion.fuse import Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import Fused, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.file_names import file_name
-from hypose.io.files import check_writable, claimed, write_text
+from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_streams import (
+from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
     common_times,
     join_observations,
+    read_skeletons,
     resample,
     shifted,
 )
@@ -65,8 +64,8 @@ def fuse(c: FuseCommand) -> None:
             raise InputError("--live takes no recording; leave one of the two out.")
         ports = {} if c.udp is None and c.ws is None else {"udp": c.udp, "ws": c.ws}
         settings = AlignSettings(rate=30.0 if c.rate is None else c.rate, wait=c.wait / 1000)
-        about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings}
-        asyncio.run(run_live(FusionServerOptions(host=c.host, **ports, **about), say, print_note))
+        about = {"osc": c.osc, "token": c.token, "record": c.record, "settings": settings, "note": print_note}
+        asyncio.run(run_live(LiveServer(host=c.host, **ports, **about), say, print_note))
         return
     if c.recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
@@ -85,23 +84,13 @@ def fuse(c: FuseCommand) -> None:
     folder = c.recording if c.recording.is_dir() else c.recording.parent
     name = f"fuse-{c.method}" if c.recording.is_dir() else f"{file_name(loaded.name)}-fuse-{c.method}"
     results = ResultsFolder(c.out) if c.out is not None else ResultsFolder.of(folder, name)
-    nothing = "Stopped before anything was fused, so nothing was kept. Start again with the same command."
-    with stopping(nothing), claimed(results.path), Stages() as progress:
-        people, notes, complete = run_fuse(loaded, results, c, progress)
+    kept = f"Stopped; motions that were complete are kept in {results.path}. Start again with the same command."
+    with stopping(kept), claimed(results.path), Stages() as progress:
+        people, notes = run_fuse(loaded, results, c, progress)
     print_notes(notes)
-    if not complete:
-        kept = f"{counted(len(people), 'motion')} in {results.path}" if people else "nothing"
-        say(f"Stopped. Kept: {kept}. Start again with the same command.")
-        raise Exit(130)
     for n, (m, _) in enumerate(people, 1):
-        parts = [
-            f"{counted(len(m), 'frame')} of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz",
-            f"{int(m.lost.sum())} lost",
-            f"{float(m.n_views.mean()):.1f} sensors on average",
-        ]
-        if np.isfinite(m.joint_sd).any():
-            parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
-        say(f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}: " + ", ".join(parts))
+        name = f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}"
+        print_figures(name, m, f"of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz")
     say(f"Results: {results.path}")
     if all(m.lost.all() for m, _ in people):
         require_found(people[0][0], loaded.name, results.path)
@@ -110,15 +99,15 @@ def fuse(c: FuseCommand) -> None:
 
 def run_fuse(
     recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
-) -> tuple[list[tuple[Motion, Assessment]], list[str], bool]:
+) -> tuple[list[tuple[Motion, Assessment]], list[str]]:
     """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
     Each person's files are written before the next one is fused, and are kept after Ctrl-C.
     recording: skeletons of all sensors.
     results: folder for one person; with several, a folder person-1, person-2, ... in it for each.
     c: options of the user.
-    Returns: motion, in a world with z up, and assessment of each person, in the order of appearance; notes for the
-        user; and whether all is done (False after Ctrl-C).
+    Returns: motion, in a world with z up, and assessment of each person, in the order of appearance; and notes for the
+        user.
     Raises: InputError names the input that cannot be used.
     """
     formats = split_names(c.formats)
@@ -146,33 +135,24 @@ def run_fuse(
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
         folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
-    settings = FusionSettings(seed=c.seed)
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
-    try:
-        for n, whole in enumerate(people):
-            seen = np.flatnonzero([np.isfinite(f.times).any() for f in whole])
-            span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
-            clip = whole[span]
-
-            def watch(frames: int, before: int = n * len(times)) -> None:
-                if frames % 16 == 0:
-                    progress("fuse", before + frames, total)
-
-            watch(0)
-            made = fuse_clip(clip, c.method, settings, registration, watch=watch)
-            # instants at which no sensor saw the person have no measured time
-            made = replace(made, motion=replace(made.motion, times=times[span]))
-            if world is None:
-                world = world_from_sensor(made.motion, c.up)
-            assessment = assess_fused(made.motion, clip, registration, names)
-            done.append((_write(recording, c, made, world, folders[n], notes, assessment), assessment))
-            # only formats with poses use the body, and those were refused above
-            export_motion(done[-1][0], cast(Body, None), folders[n].path, formats)
-        progress("fuse", total, total)
-    except KeyboardInterrupt:
-        return done, notes, False
-    return done, notes, True
+    for n, whole in enumerate(people):
+        seen = np.flatnonzero([np.isfinite(f.times).any() for f in whole])
+        span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
+        clip = whole[span]
+        watch = partial(lambda before, frames: progress("fuse", before + frames, total), n * len(times))
+        made = fuse_clip(clip, c.method, registration, seed=c.seed, watch=watch)
+        # instants at which no sensor saw the person have no measured time
+        made = replace(made, motion=replace(made.motion, times=times[span]))
+        if world is None:
+            world = world_from_sensor(made.motion, c.up)
+        assessment = assess_fused(made.motion, clip, registration, names)
+        done.append((_write(recording, c, made, world, folders[n], notes, assessment), assessment))
+        # only formats with poses use the body, and those were refused above
+        export_motion(done[-1][0], cast(Body, None), folders[n].path, formats)
+    progress("fuse", total, total)
+    return done, notes
 
 
 # ---- streams -------------------------------------------------------------------------------------------------

@@ -213,10 +213,6 @@ def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str
 # ---- outputs -------------------------------------------------------------------------------------------------------
 
 
-WAITING = 256
-"""Most texts that wait for a slow listener."""
-
-
 def gesture_osc(watched: Watched, names: Sequence[str], limits: Sequence[float]) -> list[OscMessage]:
     """Build the OSC messages of one frame: /gesture/NAME score x y z, /gesture/NAME/start and /end with the score, and
     Wekinator's /wek/outputs (each gesture's score over its threshold, at most 1).
@@ -314,7 +310,7 @@ def gesture_run(
         target = None if osc is None else opened.enter_context(contextlib.closing(OscTarget(osc)))
         listeners = None
         if ws is not None:
-            listeners = opened.enter_context(contextlib.closing(SocketListeners(ws, WAITING)))
+            listeners = opened.enter_context(contextlib.closing(SocketListeners(ws)))
         session = Watching(open_source(source, loaded[0].name, seed), loaded, threshold, **how)
         names, limits = session.names, [limit.threshold for limit in session.limits]
         for k, watched in enumerate(watch(session), 1):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +33,6 @@ from hypose.app.reports.report_parts import (
 )
 from hypose.app.reports.result_pictures import PictureRows, Shown, colour_of, write_overlay
 from hypose.app.studio.view_bundle import Rivals, ViewResult
-from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
@@ -49,12 +49,11 @@ from hypose.io.motions.results import (
     load_motion,
     provenance,
     provenance_identity,
-    save_body,
     to_json,
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.io.sensors.skeleton_files import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
@@ -62,8 +61,7 @@ from hypose.pipeline.passes import MODES
 from hypose.pipeline.recorded_frames import check_views, frames_wanted, one_view, people_frames
 from hypose.pipeline.run import PeopleResult, TrackResult
 from hypose.pipeline.subject import SubjectOptions, load_subject, subject_file
-from hypose.pipeline.track import chosen_people, keypoint_people, track_people, track_person, wanted_of
-from hypose.pipeline.track_management import KnownPerson, said_of_places
+from hypose.pipeline.track import chosen_people, track_named, track_person, wanted_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.recipes import citation_of
 
@@ -87,7 +85,7 @@ class TrackJob:
     options: TrackOptions
     results: ResultsFolder
     command: TrackCommand
-    truth: Callable[[Motion, Body], Truth] | None = None
+    truth: Callable[[Motion], Truth] | None = None
     skeletons: SkeletonRecording | None = None
 
     @property
@@ -157,13 +155,10 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     """
     if text is None:
         return recording
-    first, colon, stop = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        a, b = int(first or 0), int(stop or recording.n_frames)
-    except ValueError:
-        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.") from None
+    found = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text)
+    if found is None:
+        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.")
+    a, b = int(found[1] or 0), int(found[2] or recording.n_frames)
     if not 0 <= a < b <= recording.n_frames:
         raise InputError(
             f"--frames {text} lies outside the recording, which has the frames 0 to {recording.n_frames - 1}; give the "
@@ -194,13 +189,12 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         else FrameStream(recording, frames_wanted(recording, job.options), progress=progress)
     )
     with frames as source:
-        known = None if before is None else (PeopleResult((before,), True), "")
-        found, absent = known or _track(job, source, record, progress)
+        found = _track(job, source, record, progress) if before is None else PeopleResult((before,), True)
         people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
         first = people[0]
         for one in people:
-            _save(_folder(job, one), one)
-        truth = job.truth(first.motion, first.body) if job.truth is not None else None
+            one.save(_folder(job, one).path)
+        truth = job.truth(first.motion) if job.truth is not None else None
         if found.complete:
             for one in people:
                 said = (*notes, *one.notes)
@@ -209,7 +203,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
                 _together(job, people, source, notes, progress)
     assessment = first.assessment
     if several:
-        assessment = worst_assessment(people, absent)
+        assessment = worst_assessment(people, found.absent)
         results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.notes)
     return Outcome(first.motion, found.complete, (*notes, *said), truth, assessment)
@@ -238,47 +232,25 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     return masks if all("masks" in view.files for view in recording.views) else (*masks, "pictures")
 
 
-def _track(
-    job: TrackJob, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
-) -> tuple[PeopleResult, str]:
+def _track(job: TrackJob, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall) -> PeopleResult:
     """Track the people of a job; a single person together with the skeletons of sensors where there are any.
 
     source: frames of the recording.
     record: provenance of the run.
-    Returns: the people whose results are wanted; and the sentence that the one person who was asked for by name is not
-        among them, "" otherwise. Without that person all are returned.
     """
-    options, recording, rate = job.options, job.recording, job.recording.frame_rate
-    about = {"results": job.results, "record": record, "progress": progress}
+    options, about = job.options, {"results": job.results, "record": record, "progress": progress}
     if job.command.people is not None:
-        wanted = wanted_of(recording)
-        count, only = chosen_people(job.command.people, wanted)
-        points = keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None
-        about |= {"resume": job.command.resume, "points": points, "count": count, "wanted": wanted}
-        found = track_people(source, rate, options, **about)
-        shown = tuple(p for p in found.people if only in (None, p.name))
-        return replace(found, people=shown or found.people), _absent(found, [w for w in wanted if w.name == only])
+        return track_named(source, options, job.command.people, resume=job.command.resume, **about)
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
 
-        one = fuse_mixture(source, rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about)
+        one = fuse_mixture(
+            source, job.recording.frame_rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about
+        )
     else:
-        command = f"hypose track {shlex.quote(str(recording.folder))} --people all"
+        command = f"hypose track {shlex.quote(str(job.recording.folder))} --people all"
         one = track_person(source, options, resume=job.command.resume, command=command, **about)
-    return PeopleResult((one,), one.complete), ""
-
-
-def _absent(found: PeopleResult, only: Sequence[KnownPerson]) -> str:
-    """Return the sentence that the one person who was asked for by name was not found; "" where there is none."""
-    for why in said_of_places(only, len(found.people) + found.others):
-        return f"who of several people is {only[0].name} is not known: {why}"
-    names = [p.name for p in found.people]
-    if not only or only[0].name in names:
-        return ""
-    return (
-        f"{only[0].not_found}; the results are those of {', '.join(names)} instead: "
-        "correct place and time of the [[person]] in recording.toml"
-    )
+    return PeopleResult((one,), one.complete)
 
 
 def check_job(job: TrackJob) -> None:
@@ -362,23 +334,9 @@ _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
 """Files that exist before the motion files of a person are written; MODES with one camera only."""
 
 
-def _save(results: ResultsFolder, one: TrackResult) -> None:
-    """Write body, provenance and assessment of one person; the motion is there already."""
-    motion = one.motion
-    save_body(one.body, results.file("body.npz"))
-    results.write_json("provenance.json", motion.provenance)
-    there = {"there": _there(one)} if one.name else {}
-    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(motion), **there})
-
-
 def _folder(job: TrackJob, one: TrackResult) -> ResultsFolder:
     """Return the results folder of one person; a single person, without a name, has that of the job."""
     return ResultsFolder(job.results.path / one.name)
-
-
-def _there(one: TrackResult) -> list[list[int]]:
-    """List the rows [first, one after the last] of the motion in which a person is present."""
-    return [[r.start, r.stop] for r in runs(one.there)]
 
 
 def _export_and_report(
@@ -475,7 +433,7 @@ def _together(
         files.append(results.file("motion.glb"))
         write_people_glb(files[-1], [(p.name, p.motion, p.body) for p in people])
     about = [
-        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": _there(p)}
+        {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": p.spans}
         | {"stature": p.body.stature}
         for p in people
     ]
@@ -545,17 +503,11 @@ def _kept(job: TrackJob) -> str:
     several = job.command.people is not None
     motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
     motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
-    if results.checkpoint.exists():
-        if not motions:
-            kept = f"Kept: body and start of the person, in {results.checkpoint}"
-            return f"Stopped before the first frame was tracked. {kept}. Go on with: {command}"
-        done = f"{len(load_motion(motions[0]))} of {total} frames"
-        return f"Stopped. Kept: {done} in {where}, and the state of the tracker. Go on with: {command}"
-    if several and motions:
-        return f"Stopped. The motions that were complete are in {where}. Go on with: {command}"
-    if motions:
-        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
-    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
+    if not motions:
+        kept = " Kept: body and start of the person." if results.checkpoint.exists() else ""
+        return f"Stopped before the first frame was tracked.{kept} Go on with: {command}"
+    done = f"{len(load_motion(motions[0]))} of {total} frames"
+    return f"Stopped. Kept: {done} in {where}. Go on with: {command}"
 
 
 def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float]) -> None:
@@ -564,19 +516,11 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     seconds: time per stage.
     Raises: EvidenceError where the person was found in no frame.
     """
-    s = summarize(outcome.motion)
     print_notes(outcome.notes)
     views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
     of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # largest number of views used in a frame
-    of += " view" if of == "1" else " views"
-    parts = [f"{counted(s.frames, 'frame')} in {of}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
-    if s.iou == s.iou:
-        parts.append(f"mean IoU {s.iou:.3f}")
-    if s.sd_mm == s.sd_mm:
-        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
-    if seconds.get("track"):
-        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
-    say(f"{job.recording.name}: " + ", ".join(parts))
+    speed = [f"{len(outcome.motion) / seconds['track']:.1f} frames/s"] if seconds.get("track") else []
+    print_figures(job.recording.name, outcome.motion, f"in {of} view{'s' * (of != '1')}", speed)
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
@@ -584,6 +528,19 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
         say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     print_assessments({"": outcome.assessment})
+
+
+def print_figures(name: str, motion: Motion, seen: str, more: Sequence[str] = ()) -> None:
+    """Print one line with the figures of a motion.
+
+    seen: by which views or sensors, in words.
+    more: further figures.
+    """
+    s = summarize(motion)
+    parts = [f"{counted(s.frames, 'frame')} {seen}", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    parts += [f"mean IoU {s.iou:.3f}"] if np.isfinite(s.iou) else []
+    parts += [f"median joint sd {s.sd_mm:.1f} mm"] if np.isfinite(s.sd_mm) else []
+    say(f"{name}: " + ", ".join([*parts, *more]))
 
 
 def print_assessments(assessments: Mapping[str, Assessment]) -> None:

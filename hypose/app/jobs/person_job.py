@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -11,11 +11,10 @@ import numpy as np
 from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, print_note, print_notes, say, stopping
-from hypose.app.jobs.checking import write_image
+from hypose.app.jobs.checking import write_frames
 from hypose.app.jobs.job import choose_frames, job_of, recording_of, track_shown
 from hypose.app.options import SubjectCommand, TrackCommand
-from hypose.app.reports.result_pictures import Canvas, Drawing, DrawnBody, open_images
-from hypose.body.default_body import human
+from hypose.app.reports.result_pictures import Drawing, DrawnBody
 from hypose.errors import InputError
 from hypose.evidence.pose_network import PoseDetector
 from hypose.io.files import claimed
@@ -35,12 +34,11 @@ from hypose.pipeline.detect_keypoints import detect_keypoints, wants_detector
 from hypose.pipeline.mesh_subject import subject_from_mesh
 from hypose.pipeline.recorded_frames import check_views
 from hypose.pipeline.subject import (
-    AnthropometryOptions,
     SubjectEstimate,
+    SubjectOptions,
     estimate_subject,
     save_subject,
 )
-from hypose.tracking.start_search import KNOWN_POSES
 
 
 def measure_subject(c: SubjectCommand) -> None:
@@ -56,13 +54,15 @@ def measure_subject(c: SubjectCommand) -> None:
         raise InputError("Give either a recording's folder or --mesh with a scan.")
     loaded = choose_frames(load_recording(c.recording), c.frames)
     check_views(loaded)
-    options = AnthropometryOptions(
+    options = SubjectOptions(
+        c.start,
+        c.height if c.height is not None else loaded.subject_height,
+        c.mass if c.mass is not None else loaded.subject_mass,
+        frame_rate=loaded.frame_rate,
+        seed=c.seed,
         frames=c.poses,
         tracked=max(36, 3 * c.poses),
-        height=c.height if c.height is not None else loaded.subject_height,
-        mass=c.mass if c.mass is not None else loaded.subject_mass,
-        poses=KNOWN_POSES if c.start == "hull" else (c.start,),
-        seed=c.seed,
+        passes=2,
     )
     folder = c.out or loaded.folder / "subject"
     with claimed(folder), Stages() as progress:
@@ -70,12 +70,10 @@ def measure_subject(c: SubjectCommand) -> None:
             found = estimate_subject(
                 source.frame,
                 len(source),
-                loaded.frame_rate,
-                human(),
                 options,
                 progress=lambda done, total: progress("subject", done, total),
             )
-            body, toml = save_subject(folder, found, human(), loaded.name)
+            body, toml = save_subject(folder, found, loaded.name)
             picture = _picture(folder / "subject.png", loaded, source, found)
     print_notes((*loaded.notes, *source.notes, *found.notes))
     sizes = found.sizes.in_cm
@@ -91,20 +89,17 @@ def _picture(path: Path, recording: Recording, source: FrameStream, found: Subje
     source: frames of the recording.
     found: the fitted body with its poses.
     """
-    rows = []
-    with open_images(recording) as images:
-        canvas = Canvas(recording, images)
-        for k in sorted({0, len(found.frames) // 2}):
-            frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
-            pictures = [v.read(number) for v in images]
-            for body, poses, iou, what in (
-                (found.template, found.template_poses, found.iou_before, "before"),
-                (found.body, found.poses, found.iou, "after"),
-            ):
-                title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
-                drawn = DrawnBody(body, body.skin(poses[k], body.fine), body.joints(poses[k]))
-                rows.append(canvas.draw(pictures, Drawing(frame.silhouettes, title, (drawn,))).copy())
-    write_image(path, np.concatenate(rows))
+    shown = []
+    for k in sorted({0, len(found.frames) // 2}):
+        frame, number = source.frame(found.frames[k]), recording.frames[found.frames[k]]
+        for body, poses, iou, what in (
+            (found.template, found.template_poses, found.iou_before, "before"),
+            (found.body, found.poses, found.iou, "after"),
+        ):
+            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+            drawn = DrawnBody(body, body.skin(poses[k], body.fine), body.joints(poses[k]))
+            shown.append((number, Drawing(frame.silhouettes, title, (drawn,))))
+    write_frames(recording, shown, path)
     return path
 
 
@@ -117,19 +112,10 @@ def detect(
     frames: frames of the recording to detect; None: all.
     resume: skip frames that have a file.
     """
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(claimed(target))
-        progress = stack.enter_context(Stages())
-        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
-        with stopping(kept):
-            return detect_keypoints(
-                loaded,
-                detector,
-                target,
-                resume=resume,
-                frames=frames,
-                progress=lambda done, total: progress("detect", done, total),
-            )
+    kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+    with claimed(target), Stages() as progress, stopping(kept):
+        shown = partial(progress, "detect")
+        return detect_keypoints(loaded, detector, target, resume=resume, frames=frames, progress=shown)
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:

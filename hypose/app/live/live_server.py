@@ -17,11 +17,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
@@ -30,9 +27,8 @@ from hypose.errors import InputError, visible
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.fusion.people import LiveFrame, LiveFuser
-from hypose.geometry import Array
-from hypose.io.sensors.skeleton_files import FolderWriter
-from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
+from hypose.io.motions.results import json_values
+from hypose.io.sensors.skeleton_files import MAX_SKELETON_LINE, FolderWriter, parse_line
 from hypose.pipeline.live.processes import punctual
 
 _Say = Callable[[str], None]
@@ -43,9 +39,8 @@ _REPORT_S, _LOOK_S = 10.0, 0.1
 """Time between two reports, and between two checks for the end, s."""
 
 
-@dataclass(frozen=True)
-class FusionServerOptions:
-    """Options of the live server.
+class LiveServer:
+    """Server of live fusion; it runs in the event loop from `start` to `stop`, and counts lines and frames.
 
     host: address to listen on.
     udp, ws: ports of UDP and WebSocket; 0: any free one, None: the protocol is not used.
@@ -54,49 +49,41 @@ class FusionServerOptions:
         connect.
     record: new folder for a recording; None: nothing is recorded.
     settings: settings of the output instants.
-    waiting: messages kept for a slow listener.
+    note: receives sentences on problems.
+    clock: monotonic time of this computer, s; None: that of the event loop.
     Raises: InputError where the token has an invalid form.
     """
 
-    host: str = "127.0.0.1"
-    udp: int | None = 9870
-    ws: int | None = 9871
-    osc: str | None = None
-    token: str | None = None
-    record: Path | None = None
-    settings: AlignSettings = AlignSettings()
-    waiting: int = 32
-
-    def __post_init__(self) -> None:
-        if self.token is not None and not _TOKEN.fullmatch(self.token):
-            raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
-
-
-class LiveServer:
-    """Server of live fusion; it runs in the event loop from `start` to `stop`, and counts lines and frames.
-
-    note: receives sentences on problems.
-    clock: monotonic time of this computer, s; None: that of the event loop.
-    """
-
     def __init__(
-        self, options: FusionServerOptions, note: _Say = lambda text: None, clock: Callable[[], float] | None = None
+        self,
+        *,
+        host: str = "127.0.0.1",
+        udp: int | None = 9870,
+        ws: int | None = 9871,
+        osc: str | None = None,
+        token: str | None = None,
+        record: Path | None = None,
+        settings: AlignSettings | None = None,
+        note: _Say = lambda text: None,
+        clock: Callable[[], float] | None = None,
     ) -> None:
-        self.options = options
-        self.token = token_for(options.host, options.token)
-        self.fuser = LiveFuser(options.settings)
+        if token is not None and not _TOKEN.fullmatch(token):
+            raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
+        self.host, self.udp, self.ws, self.osc, self.record = host, udp, ws, osc, record
+        self.settings, self.token = settings or AlignSettings(), token_for(host, token)
+        self.fuser = LiveFuser(self.settings)
         self.received = self.used = self.ignored = self.frames = 0
         self.latencies: deque[float] = deque(maxlen=3000)
         self.people = 0
         self.udp_port = self.ws_port = 0
         self._note, self.clock = note, clock
         self._complained, self._silent = -math.inf, 0
-        self._writer = FolderWriter(options.record) if options.record is not None else None
+        self._writer = FolderWriter(record) if record is not None else None
         self.unrecorded = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self.listeners: list[_Say] = []  # receivers of all messages
-        self.sockets = SocketServer(self._hello, options.waiting, clients=32, take=self.take, token=self.token)
+        self.sockets = SocketServer(self._hello, clients=32, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
 
@@ -111,24 +98,26 @@ class LiveServer:
 
         Raises: InputError where a port cannot be opened.
         """
-        o, loop = self.options, asyncio.get_running_loop()
+        loop = asyncio.get_running_loop()
         quiet_logs()
-        if o.osc is not None:
-            self._osc = OscTarget(o.osc)
+        if self.osc is not None:
+            self._osc = OscTarget(self.osc)
         try:
-            if o.udp is not None:
-                transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), local_addr=(o.host, o.udp))
+            if self.udp is not None:
+                transport, _ = await loop.create_datagram_endpoint(
+                    lambda: _Datagrams(self), local_addr=(self.host, self.udp)
+                )
                 self._datagrams = transport
                 with contextlib.suppress(OSError):
                     transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
                 self.udp_port = transport.get_extra_info("sockname")[1]
-            if o.ws is not None:
-                self.ws_port = await self.sockets.start(o.host, o.ws)
+            if self.ws is not None:
+                self.ws_port = await self.sockets.start(self.host, self.ws)
         except (OSError, OverflowError) as error:
             await self.stop()
             raise InputError(
-                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({listen_error(error)}); "
-                "choose others with --udp and --ws."
+                f"The ports {self.udp} (UDP) and {self.ws} (WebSocket) on {self.host} cannot be opened "
+                f"({listen_error(error)}); choose others with --udp and --ws."
             ) from None
 
     async def stop(self) -> None:
@@ -213,7 +202,7 @@ class LiveServer:
 
     def _post(self, line: Callable[[], str]) -> None:
         """Send a line, which is made only where it is received."""
-        if self.sockets.queues or self.listeners:
+        if self.sockets.listeners or self.listeners:
             text = line()
             for listener in (self.sockets.post, *self.listeners):
                 listener(text)
@@ -225,13 +214,13 @@ class LiveServer:
                 "name": s.name,
                 "alive": s.alive,
                 "rate": round(s.rate, 1),
-                "offset": _number(s.offset),
+                "offset": round(s.offset, 5),
                 "jumps": s.jumps,
                 "returns": s.returns,
                 "used": s.used,
                 "refused": s.refused,
                 "registered": s.name in residuals,
-                "residual": _number(residuals.get(s.name, math.nan)),
+                "residual": round(residuals.get(s.name, math.nan), 5),
                 "place": places[s.name].round(4).tolist() if s.name in places else None,
             }
             for s in self.fuser.aligner.status(now)
@@ -242,11 +231,11 @@ class LiveServer:
             "frames": self.frames,
             "dropped": self.sockets.dropped,
         }
-        return json.dumps({"type": "status", "sensors": sensors, **counts}, separators=(",", ":"))
+        return json.dumps(json_values({"type": "status", "sensors": sensors, **counts}), separators=(",", ":"))
 
     def _hello(self, path: str) -> str | None:
         """Return the first message for a listener; None for another path than /out."""
-        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.rate}
+        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.settings.rate}
         return json.dumps(value) if path == "/out" else None
 
 
@@ -271,34 +260,23 @@ def frame_json(frame: LiveFrame, latency: float) -> str:
             "id": p.id,
             "seen": p.seen,
             "sensors": p.sensors,
-            "joints": _rounded(p.joints),
-            "sd": _rounded(p.sd),
+            "joints": p.joints.round(5),
+            "sd": p.sd.round(5),
         }
         for p in frame.people
     ]
     head = {"type": "frame", "n": frame.index, "time": round(frame.time, 6), "latency_ms": round(1000 * latency, 3)}
-    return json.dumps({**head, "people": people}, separators=(",", ":"))
+    return json.dumps(json_values({**head, "people": people}), separators=(",", ":"))
 
 
-def _rounded(values: Array) -> Any:
-    """Convert values to nested lists, rounded to 0.01 mm, with null where they are not known."""
-    if np.isfinite(values).all():
-        return values.round(5).tolist()
-    return [[_number(x) for x in v] if isinstance(v, list) else _number(v) for v in values.tolist()]
-
-
-def _number(x: float) -> float | None:
-    return round(x, 5) if math.isfinite(x) else None
-
-
-async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
+async def run_live(server: LiveServer, say: _Say, note: _Say) -> None:
     """Run the server until Ctrl-C or SIGTERM, with a report now and then.
 
     say: prints results.
     note: prints remarks.
     Raises: InputError where the ports cannot be opened, or the recording failed.
     """
-    server, ended = LiveServer(options, note), threading.Event()
+    ended = threading.Event()
     with ended_by_signals(ended):
         await server.start()
         try:
@@ -316,20 +294,19 @@ async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
         say(f"{counted(server.frames, 'frame')} sent. {_summary(server)}")
     if server.unrecorded:
         raise InputError(server.unrecorded)
-    if options.record is not None:
-        say(f"Recorded: {options.record}")
+    if server.record is not None:
+        say(f"Recorded: {server.record}")
 
 
 def _say_where(server: LiveServer, say: _Say) -> None:
-    options = server.options
-    host = f"[{options.host}]" if ":" in options.host else options.host
-    if options.udp is not None:
+    host = f"[{server.host}]" if ":" in server.host else server.host
+    if server.udp is not None:
         say(f"Skeletons in:  udp {host}:{server.udp_port}")
-    if options.ws is not None:
+    if server.ws is not None:
         say(f"Skeletons in:  ws://{host}:{server.ws_port}/in")
         say(f"Fused out:     ws://{host}:{server.ws_port}/out")
-    if options.osc is not None:
-        say(f"Fused out:     osc {options.osc}")
+    if server.osc is not None:
+        say(f"Fused out:     osc {server.osc}")
     if server.token:
         say(f"Token:         {server.token}")
     say("Stop with Ctrl-C.")

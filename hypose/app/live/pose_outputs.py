@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,14 +18,14 @@ from hypose.app.live.osc import OscTarget, osc_bundles, people_osc, vmc_messages
 from hypose.app.live.servers import SocketListeners
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
+from hypose.io.motions.results import json_values
 from hypose.pipeline.live.capture import CaptureOptions
-from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
+from hypose.pipeline.live.engine import Listener, LiveEngine, LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions, LivePose
 from hypose.pipeline.live.live_rig import LiveRig
 from hypose.pipeline.live.recorder import LiveRecorder
 
 _UPPER = np.triu_indices(3)
-_WAITING = 8
 
 
 def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
@@ -55,7 +54,7 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     return json.dumps(value, separators=(",", ":"))
 
 
-class PoseOutputs:
+class PoseOutputs(Listener):
     """Listener of the live engine that sends poses to other programs.
 
     cameras: names of the cameras.
@@ -85,7 +84,7 @@ class PoseOutputs:
             for address, option, made in ((udp, "--udp", self._lines), (osc, "--osc", _osc), (vmc, "--vmc", self._vmc)):
                 if address is not None:
                     self._outs.append((OscTarget(address, option), made))
-            self.listeners = None if ws is None else SocketListeners(ws, _WAITING, self._hello)
+            self.listeners = None if ws is None else SocketListeners(ws, self._hello)
         except InputError:
             self.close()
             raise
@@ -115,7 +114,7 @@ class PoseOutputs:
         for target, made in self._outs:
             for datagram in made(seen.poses, latency):
                 target.put(datagram)
-        if self.listeners is not None and self.listeners.server.queues:
+        if self.listeners is not None and self.listeners.server.listeners:
             for pose in seen.poses:
                 self.listeners.post(pose_json(pose, latency, self._cameras))
 
@@ -152,7 +151,6 @@ def status_json(status: LiveStatus) -> str:
         }
         for c, late in zip(status.cameras, status.offsets or (0.0,) * len(status.cameras), strict=False)
     ]
-    p50, p99 = (None if math.isnan(v) else round(v, 1) for v in status.latency)
     value = {
         "type": "status",
         "phase": status.phase,
@@ -161,11 +159,11 @@ def status_json(status: LiveStatus) -> str:
         "poses": status.poses,
         "per_second": round(status.per_second, 1),
         "skipped": round(status.skipped, 3),
-        "latency_ms": [p50, p99],
-        "stages_ms": {k: None if math.isnan(v) else round(v, 1) for k, v in status.stages.items()},
+        "latency_ms": [round(v, 1) for v in status.latency],
+        "stages_ms": {k: round(v, 1) for k, v in status.stages.items()},
         "fitted": status.fitted,
     }
-    return json.dumps(value, separators=(",", ":"))
+    return json.dumps(json_values(value), separators=(",", ":"))
 
 
 class TrackingRun:
@@ -202,8 +200,8 @@ class TrackingRun:
                 self.recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
                 parts.callback(self.recorder.close)
                 listeners.append(self.recorder)
-            options = LiveTrackingOptions(capture, person, people, pictures=pictures or record is not None)
-            self.engine = LiveEngine(cameras.rig, cameras.views, options, listeners, stop)
+            about = {"pictures": pictures or record is not None, "listeners": listeners, "stop": stop}
+            self.engine = LiveEngine(cameras.rig, cameras.views, capture, person, people=people, **about)
             parts.callback(self.engine.stop)
             self.engine.start()
             parts.pop_all()

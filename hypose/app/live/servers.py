@@ -19,7 +19,7 @@ from http import HTTPStatus
 from typing import Any, TypeVar
 from urllib.parse import parse_qs
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -78,42 +78,42 @@ def quiet_logs() -> None:
         logging.getLogger(name).addFilter(_own)  # a filter that is there already is not added twice
 
 
-Queue = asyncio.Queue[str | None]
 _ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
 """Allowed origins: programs, and pages of this computer. Why: a foreign page must not use a port without the user's
 knowledge.
 """
 
 
+_MOST_UNSENT = 1 << 16
+"""Bytes that wait for a slow listener, which misses items until there are fewer."""
+
+
 class SocketServer:
     """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
-    slow loses its oldest items.
+    slow misses items.
 
     hello: function of the path that a listener requests; returns the first item for this listener, or None where
         there is no such path.
-    waiting: items kept for a slow listener.
     clients: most connections at a time.
     take: function that receives each line that a client sends to the path /in, and returns why the line is ignored,
         or None where it is used; None instead of a function: no lines are accepted.
     token: secret that clients must show; "": none, and pages of other computers are refused.
 
     Attributes:
-    queues: of the listeners.
-    dropped: number of lost items.
+    listeners: connections of the listeners.
+    dropped: number of items that listeners missed.
     """
 
     def __init__(
         self,
         hello: Callable[[str], str | None],
-        waiting: int,
         *,
         clients: int = 16,
         take: Callable[[str | bytes], str | None] | None = None,
         token: str = "",
     ) -> None:
-        self._hello, self._waiting, self._clients, self._take, self._token = hello, waiting, clients, take, token
-        self._connections = self.dropped = 0
-        self.queues = set[asyncio.Queue]()
+        self._hello, self._clients, self._take, self._token = hello, clients, take, token
+        self.dropped, self.listeners = 0, set[ServerConnection]()
         self._server: Server | None = None
 
     async def start(self, host: str, port: int) -> int:
@@ -133,31 +133,24 @@ class SocketServer:
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
     async def stop(self) -> None:
-        """Give the listeners time to receive the items that still wait, and close all connections."""
-        self.post(None)
-        for _ in range(100):
-            if not self.queues:
-                break
-            await asyncio.sleep(0.02)
+        """Send what still waits, and close all connections."""
         if self._server is not None:
             self._server.close()
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._server.wait_closed(), 3)
 
-    def post(self, what: str | None) -> None:
-        """Send an item to all listeners; None marks the end."""
-        for queue in self.queues:
-            if queue.full():
-                queue.get_nowait()
-                self.dropped += 1
-            queue.put_nowait(what)
+    def post(self, what: str) -> None:
+        """Send an item to all listeners that are not too slow."""
+        slow = {c for c in self.listeners if c.transport.get_write_buffer_size() > _MOST_UNSENT}
+        self.dropped += len(slow)
+        broadcast(self.listeners - slow, what)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse a request with another path, too many connections or a wrong token; None: it is accepted."""
         path, _, query = request.path.partition("?")
         if not (path == "/in" and self._take is not None) and self._hello(path) is None:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such path\n")
-        if self._connections >= self._clients:
+        if len(connection.server.connections) >= self._clients:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
         bearer = " ".join(request.headers.get_all("Authorization"))
         if self._token and not shows_secret(query, bearer, self._token):
@@ -166,34 +159,24 @@ class SocketServer:
 
     async def _client(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else ""
-        self._connections += 1
-        try:
-            with suppress(ConnectionClosed):
-                await (self._receive(connection) if path == "/in" and self._take else self._send(connection, path))
-        finally:
-            self._connections -= 1
+        with suppress(ConnectionClosed):
+            if path == "/in" and self._take:
+                await self._receive(connection, self._take)
+            else:
+                if hello := self._hello(path):
+                    broadcast([connection], hello)
+                self.listeners.add(connection)  # after the first item nothing is missed
+                await connection.wait_closed()
+        self.listeners.discard(connection)
 
-    async def _receive(self, connection: ServerConnection) -> None:
+    async def _receive(self, connection: ServerConnection, take: Callable[[str | bytes], str | None]) -> None:
         """Take the lines of a sender, and answer at most once a second why lines are ignored."""
         reported, loop = -math.inf, asyncio.get_running_loop()
-        assert self._take is not None
         async for message in connection:
-            reasons = [r for line in message.splitlines() if line.strip() and (r := self._take(line))]
+            reasons = [r for line in message.splitlines() if line.strip() and (r := take(line))]
             if reasons and loop.time() - reported > 1:
                 reported = loop.time()
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
-
-    async def _send(self, connection: ServerConnection, path: str) -> None:
-        """Send the first item and all posted ones to a listener, until the end mark or until the listener leaves."""
-        queue: Queue = asyncio.Queue(self._waiting)
-        if hello := self._hello(path):
-            queue.put_nowait(hello)
-        self.queues.add(queue)  # after the first item nothing is missed
-        try:
-            while (what := await queue.get()) is not None:
-                await connection.send(what)  # a listener that has left is noticed here
-        finally:
-            self.queues.discard(queue)
 
 
 _T = TypeVar("_T")
@@ -203,7 +186,6 @@ class SocketListeners:
     """WebSocket server on ws://127.0.0.1:PORT in a thread of its own, for listeners of this computer.
 
     port: 0: any free one.
-    waiting: items kept for a slow listener.
     hello: function of the requested path that returns the first item for a listener; by default any path is
         accepted, and there is no first item.
     Raises: InputError where the port cannot be used.
@@ -213,9 +195,9 @@ class SocketListeners:
     server: the server, which belongs to the thread.
     """
 
-    def __init__(self, port: int, waiting: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
+    def __init__(self, port: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
         self._loop = asyncio.new_event_loop()
-        self.server = SocketServer(hello, waiting)
+        self.server = SocketServer(hello)
         quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from hypose.evidence.frame import TRACKED, SensorReport
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, so3_exp, transform
-from hypose.io.sensors.skeleton_streams import format_line
+from hypose.io.sensors.skeleton_files import format_line
 from hypose.synthetic.depth_scenes import FOCAL_PX, KINECT_SIZE
 from hypose.synthetic.motions import act
 from hypose.synthetic.scenes import look_at

@@ -144,14 +144,11 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
     common = [f for f in sorted(seen) if seen[f] == max(seen.values())]
     for view in views:
-        c = 0
-        errors: dict[int, float] = {}
-        if result is not None and any(view is v for v in result.views):
-            c = next(i for i, v in enumerate(result.views) if v is view)
+        errors, numbered = dict[int, float](), view.sightings
+        c = next((k for k, v in enumerate(() if result is None else result.views) if v is view), None)
+        if result is not None and c is not None:
             errors = {f: e for (k, f), e in result.fit.errors.items() if k == c}
-        numbered = view.sightings
-        if errors and result is not None:
-            numbered = {**numbered, **result.fit.sightings[c]}
+            numbered = {**numbered, **(result.fit.sightings[c] if errors else {})}
         rows.append(_row(view, board, numbered, errors, common))
     return np.concatenate(rows) if rows else np.zeros((10, 3 * _WIDTH, 3), np.uint8)
 

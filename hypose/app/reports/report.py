@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import gzip
 import html
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +24,6 @@ from hypose.app.reports.report_parts import (
     sd_chart,
     subject_rows,
     summarize,
-    top_chart,
 )
 from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
@@ -36,9 +32,8 @@ from hypose.body.motion import Motion, sd_per_axis
 from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.pipeline.assessment import GOOD, UNTRUSTED, trace_of
+from hypose.pipeline.assessment import GOOD, UNTRUSTED
 from hypose.pipeline.gait import angle_cycles, gait_of
-from hypose.pipeline.settings import SETTINGS
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
@@ -123,17 +118,14 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
         parts.append(f"<h2>Distance to the truth</h2><p>{html.escape(text)}</p>")
     if drawn.stills:
         parts.append("<h2>Pictures</h2>")
-        stills = ((f"Frame {what.first_frame + row}", picture) for row, picture in drawn.stills.items())
-        parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in stills]
+        for row, picture in drawn.stills.items():
+            parts.append(picture_of(jpeg(picture, 1280, 85), "jpeg", f"Frame {what.first_frame + row}"))
         parts.append(
             '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )
     parts.append("<h2>How well the body fits the images</h2>")
     if np.isfinite(m.cost).any():
-        caption = (
-            "Intersection over union of the body's silhouette and the mask, mean over the views; 1 is a perfect fit."
-        )
-        parts.append(_figure(fit_chart(m), caption))
+        parts.append(_figure(fit_chart(m), "Intersection over union of the body and the masks; 1 is a perfect fit."))
     else:
         parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
     if np.isfinite(m.joint_sd).any():
@@ -146,20 +138,12 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
             )
         parts.append(_figure(sd_chart(m), caption))
     if m.poses is not None and np.isfinite(m.poses).any():
-        caption = (
-            "Names and signs as in OpenSim's full-body model (Rajagopal 2016), degrees; all angles are in angles.csv."
-        )
-        parts.append("<h2>Joint angles</h2>" + _figure(angle_chart(m), caption))
+        names = "Names and signs as in OpenSim's full-body model (Rajagopal 2016); all angles are in angles.csv."
+        parts.append("<h2>Joint angles</h2>" + _figure(angle_chart(m), names))
     parts.append(gait_section(m, what.body))
-    parts.append('<div class="two"><div><h2>Seen from above</h2>')
-    parts.append(
-        _figure(
-            top_chart(m, () if what.recording is None else what.recording.rig, what.truth),
-            "Metres; grey: the cameras, and where they look.",
-        )
-        + "</div>"
-    )
-    parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
+    if what.body is not None:
+        sizes = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(what.body)), (), (1,))
+        parts.append(f'<h2>Subject</h2>{sizes}<p class="dim">Between joint centres; limbs: mean of both sides.</p>')
     if what.files:
         parts.append("<h2>Files</h2>" + html_table((html.escape(n), html.escape(t)) for n, t, _ in what.files))
     parts.append(_origin(what))
@@ -167,32 +151,25 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
 
 
 def _head(what: ViewResult) -> str:
-    """Build the title, the assessment as a coloured sentence, and a line with the day of the recorded files, recipe
-    and version.
-    """
+    """Build the title, the assessment as a coloured sentence, and a line with recipe and version."""
     recipe, a = str(what.motion.provenance.get("recipe", "unknown")), what.assessment
-    about = [f"recipe {recipe}", f"hypose {__version__}"]
-    with contextlib.suppress(OSError, IndexError):
-        views = what.recording.views if what.recording else ()
-        files = [path for view in views for path in view.files.values()]
-        written = time.localtime(files[0].stat().st_mtime)
-        about.insert(0, time.strftime("files of %Y-%m-%d", written))
     tone = "" if a is None else {GOOD: "good", UNTRUSTED: "bad"}.get(a.word, "")
     return (
         f"<h1>{html.escape(what.title)}</h1>"
         + (f'<p class="{tone}">{html.escape(a.sentence)}</p>' if a is not None else "")
-        + f'<p class="dim">{html.escape(" · ".join(about))}</p>'
+        + f'<p class="dim">recipe {html.escape(recipe)} · hypose {__version__}</p>'
     )
 
 
 def _cards(what: ViewResult) -> str:
     """Build the figures of the result, each with its usual value."""
     s = summarize(what.motion)
-    cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
-    if what.recording is not None:
-        cards.append((str(len(what.recording.rig)), "views"))
-    cards.append((f"{s.lost}", "frames lost (a good clip: none)"))
-    cards.append((f"{s.extrapolated}", "frames extrapolated (a good clip: none)"))
+    cards = [
+        (f"{s.frames}", f"frames, {s.seconds:.1f} s"),
+        *([] if what.recording is None else [(str(len(what.recording.rig)), "views")]),
+        (f"{s.lost}", "frames lost (a good clip: none)"),
+        (f"{s.extrapolated}", "frames extrapolated (a good clip: none)"),
+    ]
     if np.isfinite(s.iou):
         cards.append((f"{s.iou:.3f}", f"mean IoU (.85 and more is usual for a good fit; worst {s.worst_iou:.2f})"))
     if np.isfinite(s.sd_mm):
@@ -231,38 +208,14 @@ def gait_section(motion: Motion, body: Body | None) -> str:
     return out
 
 
-def _subject(body: Body) -> str:
-    table = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(body)), (), (1,))
-    return f'{table}<p class="dim">Between joint centres; limbs: mean of both sides.</p>'
-
-
-def _passes(motion: Motion) -> str:
-    """Build the table of the passes that moved joints after their frame was solved."""
-    trace = trace_of(motion)
-    if not trace:
-        return ""
-    rows = []
-    for stage in dict.fromkeys(c.stage for c in trace):
-        mine = [c for c in trace if c.stage == stage]
-        frames, most = len({t for c in mine for t in c.frames}), max(mine, key=lambda c: c.moved)
-        where = f"{most.joint.replace('_', ' ')}, frames {most.frames.start} to {most.frames.stop - 1} of the clip"
-        cells = (stage, f"{frames}", f"{1e3 * most.moved:.0f} mm: {where}", most.reason)
-        rows.append([html.escape(c) for c in cells])
-    table = html_table(rows, ("pass", "frames", "largest", "why"))
-    least = f"Displacements of more than {1e3 * SETTINGS.trace_least_m:.0f} mm."
-    how = f'<p class="dim">{least} hypose explain RESULT --joint NAME --frame N tells it of one joint.</p>'
-    return f"<details><summary>What each pass moved</summary>{table}{how}</details>"
-
-
 def _origin(what: ViewResult) -> str:
-    record: dict[str, Any] = dict(what.motion.provenance)
-    out = "<h2>How this was made</h2>" + _passes(what.motion)
+    out = "<h2>How this was made</h2>"
     if what.citation:
         out += f"<p>Method: {html.escape(what.citation)}</p>"
     if what.seconds:
         table = html_table(((html.escape(k), f"{v:.1f} s") for k, v in what.seconds.items()), (), (1,))
         out += f"<details><summary>Time per stage</summary>{table}</details>"
-    record.pop("trace", None)  # it is shown in the table above
-    text = html.escape(to_json(record))
+    # the trace of joints that passes moved is on the viewer's line of time, and `hypose explain` prints it
+    record = {k: v for k, v in what.motion.provenance.items() if k != "trace"}
     title = "Provenance: settings, versions, inputs with their hashes"
-    return out + f"<details><summary>{title}</summary><pre>{text}</pre></details>"
+    return out + f"<details><summary>{title}</summary><pre>{html.escape(to_json(record))}</pre></details>"

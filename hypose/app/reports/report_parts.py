@@ -16,10 +16,8 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
-from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, visible
 from hypose.geometry import Array
-from hypose.pipeline.comparison import Truth
 from hypose.pipeline.gait import PERCENT, AngleCycle
 
 DESCRIPTIONS = {
@@ -132,7 +130,6 @@ body { margin: 0; background: var(--bg); color: var(--ink);
 .report img, .report svg, .report video { max-width: 100%; height: auto; } .report figure { margin: 12px 0; }
 .report figcaption { color: var(--dim); font-size: 13px; } .report details { margin: 8px 0; }
 .report pre { background: var(--raised); padding: 10px; overflow-x: auto; font-size: 12px; }
-.report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
 """
 # A report can load nothing, whatever is in it.
 CONTENT_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
@@ -187,16 +184,15 @@ def picture_of(data: bytes, kind: str, caption: str = "") -> str:
 LEFT_COLOUR, RIGHT_COLOUR, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
 _LOST, _EXTRAPOLATED = "#d62f2f", "#e0a800"
 _LINE = 15.0  # px of a line of text
-_MAX_POINTS = 3000
+_MAX_POINTS, _WIDTH = 3000, 1010
 
 
 class Axes:
-    """One panel of a chart, to which lines, bands and dots are added in the units of its axes.
+    """One panel of a chart, to which lines, bands and tints are added in the units of its axes.
 
     title, x, y: texts.
     low, high: ends of the y axis; None: fitted to the data.
     least: least length of the y axis.
-    equal: the same scale on both axes.
     """
 
     def __init__(
@@ -208,23 +204,19 @@ class Axes:
         low: float | None = None,
         high: float | None = None,
         least: float = 1e-9,
-        equal: bool = False,
     ) -> None:
         self.title, self.x, self.y = title, x, y
-        self._low, self._high, self._least, self._equal = low, high, least, equal
+        self._low, self._high, self._least = low, high, least
         self._marks: list[tuple[str, Array, str]] = []  # kind, points (N, 2), SVG attributes
         self._legend: dict[str, str] = {}  # colour by label
 
-    def line(self, x: Array, y: Array, colour: str, label: str = "", width: float = 1.4, dashes: str = "") -> None:
+    def line(self, x: Array, y: Array, colour: str, label: str = "") -> None:
         """Draw a line through points, interrupted where one is NaN.
 
         x, y: (N,) in the units of the axes.
         label: text in the legend; "": none.
-        width: px.
-        dashes: pattern of a dashed line as in SVG; "": solid.
         """
-        look = f'fill="none" stroke="{colour}" stroke-width="{width}"'
-        self._add("line", x, y, look + (f' stroke-dasharray="{dashes}"' if dashes else ""), label, colour)
+        self._add("line", x, y, f'fill="none" stroke="{colour}" stroke-width="1.4"', label, colour)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
         """Fill the area between two lines; points that are NaN are bridged.
@@ -234,14 +226,6 @@ class Axes:
         known = np.isfinite(low) & np.isfinite(high)
         across, edges = (np.concatenate([v[known], w[known][::-1]]) for v, w in ((x, x), (low, high)))
         self._add("line", across, edges, f'fill="{colour}" fill-opacity="0.16"')
-
-    def dots(self, x: Array, y: Array, colour: str, opacity: float = 1.0) -> None:
-        """Draw points x, y (N,) in the units of the axes."""
-        self._add("dot", x, y, f'fill="{colour}" fill-opacity="{opacity}"')
-
-    def text(self, x: float, y: float, text: str) -> None:
-        """Write a text above a point, in the units of the axes."""
-        self._add("text", np.array([x]), np.array([y]), text)
 
     def stretch(self, begin: float, end: float, colour: str, label: str) -> None:
         """Tint a part of the x axis over the whole height.
@@ -266,7 +250,7 @@ class Axes:
         out.append(_text(x + left + (w - left) / 2, y + h - 5, self.x, "middle"))
         out.append(_text(x + 11, y + (h - foot + head) / 2, self.y, "middle", turned=True))
         x, y, w, h = x + left, y + head, w - left - 10, h - head - foot
-        low, high = self._limits(np.array([w, h]))
+        low, high = self._limits()
         scale = np.array([w, -h]) / (high - low)
         for value in _ticks(low[1], high[1], max(3, h / 26)):
             at = y + h + (value - low[1]) * scale[1]
@@ -280,37 +264,32 @@ class Axes:
             out.append(_mark(kind, np.clip((points - low) * scale + [x, y + h], [x, y], [x + w, y + h]), look, y, h))
         return "".join(out)
 
-    def _limits(self, size: Array) -> tuple[Array, Array]:
-        """Compute (x, y) at the lower left and upper right corner of axes of `size` (w, h) px."""
+    def _limits(self) -> tuple[Array, Array]:
+        """Compute (x, y) at the lower left and upper right corner."""
         every = np.concatenate([np.zeros((0, 2)), *(p for _, p, _ in self._marks)])
         every = every[np.isfinite(every).all(1)]
         low, high = (every.min(0), every.max(0)) if len(every) else (np.zeros(2), np.ones(2))
         low[1], high[1] = (v if given is None else given for v, given in ((low[1], self._low), (high[1], self._high)))
-        more = np.maximum([1e-9, self._least] - (high - low), (0.25 if self._equal else 0.08) * (high - low)) / 2
-        if self._equal:
-            middle, unit = (low + high) / 2, float(((high - low + 2 * more) / size).max())
-            return middle - unit * size / 2, middle + unit * size / 2
-        low[1] -= more[1] if self._low is None else 0.0
-        high[1] += more[1] if self._high is None else 0.0
+        more = max(self._least - (high[1] - low[1]), 0.08 * (high[1] - low[1])) / 2
+        low[1] -= more if self._low is None else 0.0
+        high[1] += more if self._high is None else 0.0
         high[0] = max(high[0], low[0] + 1e-9)
         return low, high
 
 
-def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010, shares: Sequence[float] = ()) -> str:
+def chart(rows: Sequence[Sequence[Axes]], height: float, shares: Sequence[float] = ()) -> str:
     """Arrange panels in rows and columns as SVG text, without external content or scripts.
 
     rows: panels by row.
-    height, width: height and width of the whole, px.
+    height: height of the whole, px.
     shares: shares of the height, per row; default: equal.
     """
-    parts = []
+    parts, shares = list[str](), shares or [1 / len(rows)] * len(rows)
     for i, row in enumerate(rows):
-        h = shares[i] if shares else 1 / len(rows)
-        y = sum(shares[:i]) if shares else i / len(rows)
-        w = width / len(row)
-        parts += [axes.svg(w * k, height * y, w, height * h) for k, axes in enumerate(row)]
+        w, y = _WIDTH / len(row), height * sum(shares[:i])
+        parts += [axes.svg(w * k, y, w, height * shares[i]) for k, axes in enumerate(row)]
     look = 'font-size="11" font-family="system-ui, sans-serif" fill="currentColor"'
-    size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
+    size = f'width="{_WIDTH}" height="{height:.0f}" viewBox="0 0 {_WIDTH} {height:.0f}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {look}>{"".join(parts)}</svg>'
 
 
@@ -326,22 +305,18 @@ def _text(x: float, y: float, text: str, anchor: str, turned: bool = False) -> s
 def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
     """Return the SVG of one mark.
 
-    kind: line, dot, text or stretch.
+    kind: line or stretch.
     points: (N, 2) px.
-    look: SVG attributes; of a text the text.
+    look: SVG attributes.
     y, h: top and height of the axes, px.
     """
     if kind == "stretch":
         begin, end = points[:, 0].tolist()
         return f'<rect x="{begin:.1f}" y="{y:.1f}" width="{end - begin:.1f}" height="{h:.1f}" opacity="0.25" {look}/>'
     known = np.asarray(np.isfinite(points).all(1))
-    if kind == "line":
-        steps = np.where(known & ~np.concatenate([[False], known[:-1]]), "M", "L")[known].tolist()
-        way = "".join(f"{step}{u:.1f} {v:.1f}" for step, (u, v) in zip(steps, points[known].tolist(), strict=True))
-        return f'<path d="{way}" {look}/>'
-    if kind == "dot":
-        return "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3" {look}/>' for u, v in points[known].tolist())
-    return "".join(_text(u, v - 6, look, "middle") for u, v in points[known].tolist())
+    steps = np.where(known & ~np.concatenate([[False], known[:-1]]), "M", "L")[known].tolist()
+    way = "".join(f"{step}{u:.1f} {v:.1f}" for step, (u, v) in zip(steps, points[known].tolist(), strict=True))
+    return f'<path d="{way}" {look}/>'
 
 
 def _ticks(low: float, high: float, most: float) -> list[float]:
@@ -466,29 +441,3 @@ def _angle_panels(
                 axes.line(x, middle[name], colour, label + more.get(name, ""))
         panels.append(axes)
     return panels
-
-
-def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | None = None) -> str:
-    """Draw the paths of pelvis and feet from above, with the cameras.
-
-    rig: cameras; may be empty.
-    truth: true path of the pelvis, for a synthetic recording.
-    """
-    axes, skeleton = Axes(x="x (m)", y="y (m)", equal=True), motion.skeleton
-    for name, colour, width in (
-        ("left_ankle", LEFT_COLOUR, 1.0),
-        ("right_ankle", RIGHT_COLOUR, 1.0),
-        ("pelvis", INK, 2.0),
-    ):
-        if name in skeleton.joint_names:
-            path = motion.joints[:, skeleton.joint(name)]
-            axes.line(path[:, 0], path[:, 1], colour, name.replace("_", " "), width)
-    if truth is not None:
-        axes.line(truth.pelvis[:, 0], truth.pelvis[:, 1], _LOST, "true pelvis", 1.0, "4 3")
-    axes.dots(motion.joints[:1, 0, 0], motion.joints[:1, 0, 1], INK)
-    for camera in rig:
-        way = np.array([camera.position[:2], camera.position[:2] + 0.5 * camera.camera_from_world[2, :2]])
-        axes.dots(way[:1, 0], way[:1, 1], "#8a8a8a")
-        axes.line(way[:, 0], way[:, 1], "#8a8a8a")
-        axes.text(way[0, 0], way[0, 1], camera.name)
-    return chart([[axes]], 440, width=500)

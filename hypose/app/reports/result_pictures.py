@@ -67,16 +67,19 @@ class ViewImages:
     only masks.
 
     view, camera: the view and its calibrated camera.
+    jumps: frames are read in any order (`VideoReader.jumps`).
 
     Attributes:
     size: (width, height) of the pictures, px.
     """
 
-    def __init__(self, view: ViewSettings, camera: Camera) -> None:
+    def __init__(self, view: ViewSettings, camera: Camera, jumps: bool = False) -> None:
         self.view, self.camera = view, camera
         # with small pictures several threads are no faster, and slow down the one that writes the video
         threads = 1 if math.prod(camera.size) <= _SMALL else None
         self.reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if view.has_pictures else None
+        if isinstance(self.reader, VideoReader):
+            self.reader.jumps = jumps
         self.size: tuple[int, int] = self.reader.size if self.reader is not None else camera.size
         self._memory: Image | None = None
 
@@ -89,17 +92,13 @@ class ViewImages:
         if self.reader is None or not 0 <= index < self.reader.n_frames:
             return None
         try:
-            image = self.stored(index)
+            if isinstance(self.reader, VideoReader):
+                image = self._memory = self.reader.read(index, self._memory)
+            else:
+                image = self.reader.read(index)
         except InputError:  # tracking has left out this frame of the view and reported it
             return None
-        return image if self.view.source is not None or image is None else (image // 3 + 40).astype(np.uint8)
-
-    def stored(self, index: int) -> Image | None:
-        """Read a frame of the video, folder of images or masks."""
-        if not isinstance(self.reader, VideoReader):
-            return None if self.reader is None else self.reader.read(index)
-        self._memory = self.reader.read(index, self._memory)
-        return self._memory
+        return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
 
     def close(self) -> None:
         """Release the file."""

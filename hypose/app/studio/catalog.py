@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hypose.errors import InputError
-from hypose.io.file_names import text_of
-from hypose.io.files import open_file
+from hypose.io.files import open_file, text_of
 from hypose.io.motions.results import open_archive
 from hypose.io.recordings import pose2sim
 
@@ -131,7 +130,8 @@ class Catalog:
         for kind, path in _search(self):
             if len(found) < _MOST_RECORDINGS and self.contains(path):
                 id = self.id_of(kind, path)
-                found[id] = Item(kind, id, path.resolve(), _changed(path))
+                at = changed(path / "motion.npz") or changed(path) or 0.0
+                found[id] = Item(kind, id, path.resolve(), at)
         self._items, self._looked = found, time.monotonic()
 
 
@@ -147,13 +147,10 @@ def recording_above(results: Path) -> Path | None:
     return next((f for f in list(results.resolve().parents)[:3] if is_recording(f)), None)
 
 
-def _changed(path: Path) -> float:
-    """Return the time (s) at which an item was last changed: its motion.npz or itself; 0 where it is gone."""
-    motion = path / "motion.npz"
-    try:
-        return (motion if motion.is_file() else path).stat().st_mtime
-    except OSError:
-        return 0.0
+def changed(path: Path) -> float | None:
+    """Return the time (s since 1970) at which a file or folder was last changed; None where it is not there."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_mtime
 
 
 def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:

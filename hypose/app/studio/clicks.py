@@ -6,7 +6,6 @@ a tracked frame keeps joints that were not clicked near the tracked pose.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.http import request_choice, request_number, whole
-from hypose.app.studio.job_kinds import is_name
+from hypose.app.studio.job_kinds import is_name, saved_clicks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, first_frame, view_bundle
 from hypose.body.body import Body
@@ -26,6 +25,7 @@ from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
+from hypose.evidence.keypoints import landmark_of
 from hypose.evidence.terms import KeypointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
@@ -110,16 +110,13 @@ class _Clicks:
         if not cameras:
             raise InputError("Nothing is clicked yet.")
         names = tuple(n for n in CLICK_JOINTS if any(n in found[c] for c in cameras))
-        table, s, marks = np.zeros((len(cameras), len(names), 3)), body.skeleton, body.landmarks
-        joint, offset = np.zeros(len(names), dtype=np.int64), np.zeros((len(names), 3))
+        table = np.zeros((len(cameras), len(names), 3))
         for k, name in enumerate(names):
             for c, camera in enumerate(cameras):
                 if (p := found[camera].get(name)) is not None:
                     table[c, k] = p["x"], p["y"], _OCCLUDED if p.get("occluded") else 1.0
-            if name in s.joint_names:
-                joint[k] = s.joint(name)
-            else:
-                joint[k], offset[k] = marks.joint[marks.index(name)], marks.offset[marks.index(name)]
+        # key points call the base of the neck so, and the middle between the shoulders neck
+        joint, offset, _ = landmark_of(["upper_neck" if n == "neck" else n for n in names], body)
         return cls(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2], joint, offset)
 
 
@@ -208,12 +205,11 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
         notes.append(f"One view: the distance from the camera is uncertain by about {100 * depth_sd:.0f} cm.")
     if others:
         notes.append("Limbs may point towards the camera or away from it; choose among the alternatives.")
-    rows, columns = np.triu_indices(3)
     names, cameras = clicks.names, clicks.rig.names
     return {
         **_placed(body, best.pose),
         "joint_sd": np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3),
-        "covariance": covariance[:, rows, columns],
+        "covariance": covariance[:, *np.triu_indices(3)],
         "pixels": {c: dict(zip(names, expected[i], strict=True)) for i, c in enumerate(cameras)},
         "rms_px": float(np.sqrt(np.nanmean(residual**2))),
         "worst": {"camera": cameras[camera], "joint": names[joint], "px": float(residual[camera, joint])},
@@ -412,10 +408,7 @@ def read_clicks(item: Item, name: str) -> dict[str, Any]:
 
     Raises: InputError where the name or the file is not valid.
     """
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
-        raise InputError(f"{name[:40]!r} is no name of a start.")
-    path = item.path / "starts" / f"{name}.json"
-    value = read_json(path, "a start")
+    value = read_json(saved_clicks(item.path, name), "a start")
     if not isinstance(value, dict) or value.get("format") != _FORMAT:
         raise InputError(f"The start {name} was not written by hypose.")
     return value

@@ -16,7 +16,7 @@ import time as clock
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.live.gestures import GestureSource, Taken, Teaching, Watching, event_value, growing_model, open_source
-from hypose.app.studio.catalog import Catalog, Item
-from hypose.app.studio.http import DEPTH, MAP, Hub, Message, Topic, digits, request_choice, request_number, text, whole
+from hypose.app.reports.result_pictures import jpeg
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.http import DEPTH, MAP, Message, Topic, digits, request_choice, request_number, text, whole
 from hypose.app.studio.live_topics import recording_folder
 from hypose.compute.forests import DepthImage
 from hypose.errors import HyposeError, InputError
@@ -41,9 +42,9 @@ from hypose.gestures.events import (
     precision_recall,
 )
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
-from hypose.gestures.model import check_gesture_name
+from hypose.gestures.model import GestureModel, check_gesture_name
 from hypose.gestures.trainer import COMMANDS, Command, Feedback, SessionSettings
-from hypose.io.files import read_bytes, read_json
+from hypose.io.files import free_path, read_json
 from hypose.pipeline.gesture_files import load_model, read_recording, save_model
 from hypose.synthetic.gesture_people import GESTURES, load_people
 
@@ -89,8 +90,8 @@ class Judge:
     def __init__(self, lens: DepthLens) -> None:
         self._lens = lens
         self._frames: list[tuple[int, float, float]] = []  # segment, score (cm^2), error (m)
-        self._state, self._clock = EventState(), 0.0
         self._last: float | None = None
+        self._clock = 0.0  # time of other movement, s
         self._alarms: list[float] = []
 
     def see(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation, segment: int = _TEST) -> None:
@@ -108,23 +109,16 @@ class Judge:
             error = float(np.hypot(found.x - at[0], found.y - at[1])) * far
         self._frames.append((segment, found.score, error))
 
-    def move(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
-        """Count the events of a frame of other movement as false alarms.
+    def move(self, time: float, alarms: int) -> None:
+        """Count the false alarms in a frame of other movement.
 
         time: s.
-        found: place that the forest found.
-        threshold: cm^2, from which it counts; None: not known yet.
-        hold_s: time for which a gesture must be held, s.
+        alarms: gestures that were wrongly found to start.
         """
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
-        elif self._last is not None:  # another segment: an event that was going on has ended
-            self._state = EventState()
         self._last = time
-        if threshold is not None and threshold > 0:
-            settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
-            self._state, events = detect_events(self._state, [found], self._clock, settings)
-            self._alarms += [self._clock for e in events if e.kind == "start"]
+        self._alarms += [self._clock] * alarms
 
     def reported(self, undone: Collection[int] = ()) -> dict[str, Any]:
         """Return the judgement for the page: of the frames of the test once these are of both kinds, else of the latest
@@ -142,16 +136,26 @@ class Judge:
         correct, positives = errors <= RADIUS_M, int((~np.isnan(errors)).sum())
         seconds = min(self._clock, _WINDOW_S)
         recent = sum(t > self._clock - _WINDOW_S for t in self._alarms)
-        out = {"on": "test" if test else "segments", "frames": len(seen), "positives": positives, "ap": None}
-        out |= {"precision": [], "recall": [], "scores": [], "tested_s": round(seconds, 1)}
-        out |= {"false_per_min": recent * 60 / seconds if seconds > 5 else None}
+        out = {
+            "on": "test" if test else "segments",
+            "frames": len(seen),
+            "positives": positives,
+            "ap": None,
+            **{curve: [] for curve in ("precision", "recall", "scores")},
+            "tested_s": round(seconds, 1),
+            "false_per_min": recent * 60 / seconds if seconds > 5 else None,
+        }
         if 0 < positives < len(seen):
             precision, recall = precision_recall(scores, correct, positives)
             ranked = scores[np.lexsort((correct, -scores))]
             ranked = ranked[ranked > 0]
             pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
-            out |= {"ap": average_precision(scores, correct, positives), "scores": ranked[pick].round(3).tolist()}
-            out |= {"precision": precision[pick].round(4).tolist(), "recall": recall[pick].round(4).tolist()}
+            out |= {
+                "ap": average_precision(scores, correct, positives),
+                "precision": precision[pick].round(4).tolist(),
+                "recall": recall[pick].round(4).tolist(),
+                "scores": ranked[pick].round(3).tolist(),
+            }
         return out
 
 
@@ -195,7 +199,6 @@ class Lesson(Teaching):
     """Session that teaches one gesture for a page: it is judged and saved as well. Only the session's thread may call
     it; `save` also after that thread has ended.
 
-    old: file of the model that is trained further, or None.
     path: file for the model.
     Other arguments: as of `Teaching`.
     """
@@ -206,13 +209,12 @@ class Lesson(Teaching):
         gesture: str,
         settings: SessionSettings,
         *,
-        old: Path | None,
+        old: GestureModel | None,
         seed: int,
         record: Path,
         path: Path,
     ) -> None:
-        model = None if old is None else growing_model(old, gesture)
-        super().__init__(source, gesture, settings, old=model, seed=seed, record=record)
+        super().__init__(source, gesture, settings, old=old, seed=seed, record=record)
         self.path, self.names = path, [gesture]
         self.reported = {"rounds": settings.rounds, "seconds": {p: getattr(settings, f"{p}_s") for p in PHASES}}
         self._judge, self._scratch, self._events = Judge(source.lens), Scratch(), EventState()
@@ -229,6 +231,9 @@ class Lesson(Teaching):
         found, density = self._look(taken, f, controls.map)
         i, session, events = f.instruction, self.trainer.session, list[Event]()
         threshold = controls.threshold or (self.final if i.phase == "test" else None) or f.threshold
+        if fresh and threshold:
+            settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+            self._events, events = detect_events(self._events, [found], taken.time, settings)
         if fresh:
             both_known = None not in session.before  # the segment began with a forest that knew gesture and movement
             if self.usable and both_known and taken.time - session.entered < _JUDGED_S:
@@ -236,14 +241,11 @@ class Lesson(Teaching):
             if i.phase == "test" and self.source.clear():
                 self._judge.see(taken.depth, taken.box, found)
             if i.phase == "negative" and not self.paused:
-                self._judge.move(taken.time, found, threshold, controls.hold_s)
-            if i.phase == "test" and threshold:
-                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
-                self._events, events = detect_events(self._events, [found], taken.time, settings)
+                self._judge.move(taken.time, sum(e.kind == "start" for e in events))
         z = surface_depth(taken.depth, *self.place)
         half = BOX_M * self.source.lens.fx / (2.0 if z is None else z / 1000)
         message = {
-            **_step(taken, found, threshold, controls, events, self.names),
+            **_step(taken, found, threshold, controls, events if i.phase == "test" else [], self.names),
             "phase": i.phase,
             "prompt": i.prompt,
             "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),
@@ -277,7 +279,7 @@ class Lesson(Teaching):
         found = known or settle(maps, taken.depth, self.source.lens, look, self._scratch)[0]
         return found, maps[0][0] if wanted else None
 
-    def judged(self) -> dict[str, Any] | None:
+    def judged(self) -> dict[str, Any]:
         """Return the judgement of the forest."""
         return {"t": "judged", **self._judge.reported(self.trainer.session.undone)}
 
@@ -326,15 +328,6 @@ class Watch(Watching):
         }
         return message, w.maps[best.gesture - 1] if controls.map else None
 
-    def judged(self) -> dict[str, Any] | None:
-        """Return None: nothing is judged while watching."""
-
-    def save(self, controls: Controls) -> Path | None:
-        """Return None: there is nothing to save."""
-
-    def close(self) -> None:
-        """Do nothing; there is nothing to close."""
-
 
 def _step(
     taken: Taken,
@@ -369,7 +362,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureSource:
-    """Open a source; its name is the title for the page.
+    """Open a source.
 
     where: simulated:PERSON, session:ID or realsense. Why no others: a page must not open paths.
     gesture, seed: gesture and seed of a simulated person.
@@ -377,47 +370,35 @@ def open_feed(where: str, gesture: str, seed: int, catalog: Catalog) -> GestureS
     Raises: InputError for other sources.
     """
     kind, _, rest = where.partition(":")
-    if kind == "simulated":
-        person = digits(rest or "0", "the simulated person's number")
-        return replace(open_source(f"simulated:{person}", gesture, seed), name=f"Simulated person {person + 1}")
     if kind == "session":
-        path = catalog.find("session", rest).path
-        return replace(open_source(str(path), gesture), name=f"Recorded session {path.name}")
-    if where == _CAMERA:
-        return replace(open_source(_CAMERA), name="RealSense camera")
-    raise InputError(f"There is no source {where[:40]!r}; choose one of the list.")
-
-
-def _shut(source: GestureSource) -> None:
-    """Close a source and ignore its errors, so that an unplugged camera does not lose a session."""
-    with contextlib.suppress(OSError, RuntimeError):
-        source.close()
+        where = str(catalog.find("session", rest).path)
+    elif kind == "simulated":
+        digits(rest or "0", "the simulated person's number")
+    elif where != _CAMERA:
+        raise InputError(f"There is no source {where[:40]!r}; choose one of the list.")
+    return open_source(where, gesture, seed)
 
 
 class GestureTopic(Topic):
-    """Topic of the gesture session: it is started and watched by pages, and belongs to the server."""
+    """Topic of the gesture session: it is started and watched by pages, and belongs to the server.
+
+    Attributes:
+    running: the running session; None without one.
+    """
 
     name = "gesture"
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        self.hub, self.catalog = hub, catalog
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__()
+        self.catalog = catalog
         self._starting = threading.Lock()
-        self._run: Run | None = None
-
-    @property
-    def running(self) -> Run | None:
-        """The running session; None without one."""
-        return None if self._run is None or self._run.over else self._run
+        self.running: Run | None = None
 
     def hello(self) -> Message:
-        """Return the state of the session."""
-        run = self.running
-        return {"t": "hello", "session": run and run.described()}
-
-    def watched(self, pages: int) -> None:
-        """Send the last picture again when the number of watching pages changes."""
-        if pages and (run := self.running) is not None:
+        """Return the state of the session, whose last picture is sent again."""
+        if (run := self.running) is not None:
             run.requests.put("again")
+        return {"t": "hello", "session": run and run.described()}
 
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start a session, or pass the message to the running session."""
@@ -441,9 +422,9 @@ class GestureTopic(Topic):
             where = text(message.get("source"), "source", 80, "choose a simulated person, a session or a camera")
             seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
             activity = (self._watch if mode == "run" else self._lesson)(message, where, seed)
-            self._run = Run(message, activity, self)
-            self.hub.post(self.name, self.hello())
-            self._run.thread.start()
+            self.running = run = Run(message, activity, self)
+            self.post(self.hello())
+            run.thread.start()
 
     def _watch(self, message: Message, where: str, seed: int) -> Watch:
         """Make the session that watches for the gestures of models; arguments as of `_lesson`."""
@@ -467,17 +448,12 @@ class GestureTopic(Topic):
             raise InputError("Every phase must be given a number of seconds.")
         given = {f"{p}_s": request_number(seconds[p], f"the seconds of {p}", 0, 600) for p in PHASES if p in seconds}
         resumed = message.get("resume")
-        old = None if resumed is None else self.catalog.find("model", resumed).path
-        source = open_feed(where, gesture, seed, self.catalog)
+        path = None if resumed is None else self.catalog.find("model", resumed).path
+        old = None if path is None else growing_model(path, gesture)
         record = recording_folder(self.catalog, _FOLDER, gesture)
-        names = (f"{gesture}{'' if n == 1 else f'-{n}'}.npz" for n in range(1, 10_000))
-        path = old or next(record.parent / name for name in names if not (record.parent / name).exists())
-        settings = SessionSettings(rounds=rounds, **given)
-        try:
-            return Lesson(source, gesture, settings, old=old, seed=seed, record=record, path=path)
-        except Exception:
-            _shut(source)
-            raise
+        path = path or free_path(record.parent, gesture, ".npz")
+        settings, source = SessionSettings(rounds=rounds, **given), open_feed(where, gesture, seed, self.catalog)
+        return Lesson(source, gesture, settings, old=old, seed=seed, record=record, path=path)
 
     def close(self) -> None:
         """Stop the session and save everything, when the server ends."""
@@ -495,10 +471,10 @@ class Run:
     """
 
     def __init__(self, request: Message, activity: Lesson | Watch, topic: GestureTopic) -> None:
-        self.over = False
         self.requests: queue.SimpleQueue[str] = queue.SimpleQueue()  # commands, "save", "stop", "again", "changed"
         self.thread = threading.Thread(target=self._work, daemon=True)
         self._source, self._activity, self._topic = activity.source, activity, topic
+        self._lesson = activity if isinstance(activity, Lesson) else None
         self._live, self._fast = request["source"] == _CAMERA, request.get("fast") is True
         self._request = {"models": [], "resume": None, **request}
         self._history: deque[list[Any]] = deque(maxlen=HISTORY)
@@ -532,9 +508,6 @@ class Run:
         else:
             self.requests.put(request_choice(message.get("command"), "command", COMMANDS))
 
-    def _say(self, message: Message) -> None:
-        self._topic.hub.post(GestureTopic.name, message)
-
     def _work(self) -> None:
         """Run the session until it ends; save, close, and report why it ended."""
         try:
@@ -546,11 +519,13 @@ class Run:
         try:
             self._save()
         except (HyposeError, OSError) as error:
-            self._say({"t": "error", "error": str(error)})
-        self._activity.close()
-        _shut(self._source)
-        self.over = True
-        self._say({"t": "ended", "why": why})
+            self._topic.post({"t": "error", "error": str(error)})
+        # an unplugged camera or a full disk must not keep the session from ending
+        with contextlib.suppress(OSError, RuntimeError), contextlib.closing(self._source):
+            if self._lesson is not None:
+                self._lesson.close()
+        self._topic.running = None
+        self._topic.post({"t": "ended", "why": why})
 
     def _loop(self) -> str:
         """Process pictures until the session is stopped or the source ends; return the reason."""
@@ -563,7 +538,7 @@ class Run:
             if "stop" in requests:
                 return "The session was stopped."
             now = clock.monotonic()
-            watched = now if self._topic.hub.listens(GestureTopic.name) else watched
+            watched = now if self._topic.pages else watched
             if now - watched > ALONE_S and not a.paused:
                 requests.append("pause")
             fresh = last is None or not (waits or now < due) or "continue" in requests
@@ -580,9 +555,9 @@ class Run:
             assert last is not None
             seq += 1
             self._publish(last, requests, fresh, seq)
-            if clock.monotonic() - judged > _JUDGE_S and (found := a.judged()) is not None:
-                self._judged, judged = found, clock.monotonic()
-                self._say(found)
+            if self._lesson is not None and clock.monotonic() - judged > _JUDGE_S:
+                self._judged, judged = self._lesson.judged(), clock.monotonic()
+                self._topic.post(self._judged)
             if "save" in requests or clock.monotonic() - saved > _SAVE_S:
                 self._save()
                 saved = clock.monotonic()
@@ -602,36 +577,36 @@ class Run:
         fresh: False: it was processed before, only the requests are new.
         seq: number of the message.
         """
-        a, hub = self._activity, self._topic.hub
+        a, topic = self._activity, self._topic
         commands: list[Command] = [cast(Command, r) for r in requests if r in COMMANDS]
         m, density = a.step(taken, self._controls, commands, fresh)
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
-        self._say(m | {"seq": seq})  # before the pictures are encoded
+        self._topic.post(m | {"seq": seq})  # before the pictures are encoded
         if fresh or "again" in requests:
-            hub.picture(GestureTopic.name, DEPTH, seq, taken.time, depth_jpeg(taken.depth))
+            topic.picture(DEPTH, seq, taken.time, jpeg(coloured(taken.depth), taken.depth.shape[1], _JPEG_QUALITY))
         if density is not None:
             self._full = max(float(density.max()), _FADING * self._full, _LEAST_FULL)
-            hub.picture(GestureTopic.name, MAP, seq, taken.time, map_png(density, self._full))
+            topic.picture(MAP, seq, taken.time, map_png(density, self._full))
 
     def _save(self) -> None:
         """Save the trained model and report it, where anything was learned."""
-        path, folder, catalog = self._activity.save(self._controls), self._activity.folder, self._topic.catalog
-        if path is None:
+        if self._lesson is None or (path := self._lesson.save(self._controls)) is None:
             return
+        folder, catalog = self._lesson.folder, self._topic.catalog
         model = catalog.id_of("model", path)
         recording = None if folder is None else catalog.id_of("session", folder)
-        self._say({"t": "saved", "model": model, "path": f"{path.parent.name}/{path.name}", "recording": recording})
+        self._topic.post(
+            {"t": "saved", "model": model, "path": f"{path.parent.name}/{path.name}", "recording": recording}
+        )
 
 
 # ---- pictures and lists ----------------------------------------------------------------------------------------------
 # Pictures of depth and votes, and lists of sessions, models and sources, for the page.
 
 
-_MOST_BYTES = 64 << 20
-"""Largest frames.csv of a session that is read, bytes."""
-_SIZE, _QUALITY = 96, 82
-"""Width and height of the thumbnail, px, and its JPEG quality."""
+_SIZE = 96
+"""Width and height of the thumbnail, px."""
 _HALF_M = 0.22
 """Half side of the shown square at the surface where the gesture is done, m."""
 _NEAREST_MM, _FARTHEST_MM = 500, 4200
@@ -641,14 +616,13 @@ _FARTHEST_LEVEL = 40
 """Level of the farthest depth in the colour map, of 255; level 0, black, shows holes."""
 
 
-def depth_jpeg(depth: DepthImage) -> bytes:
-    """Encode a depth picture (h, w) uint16 mm as a coloured JPEG."""
-    return cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-
-
 def coloured(depth: DepthImage) -> NDArray[np.uint8]:
-    """Convert a depth picture (h, w) uint16 mm to colours (h, w, 3) BGR; holes are dark."""
-    return cv2.applyColorMap(np.take(_levels(), depth), cv2.COLORMAP_INFERNO)  # type: ignore[return-value] - uint8, as it says
+    """Convert a depth picture (h, w) uint16 mm to colours (h, w, 3) BGR, the brighter the nearer; holes are dark."""
+    slope = (_FARTHEST_LEVEL - 255) / (_FARTHEST_MM - _NEAREST_MM)
+    near = np.clip(depth, _NEAREST_MM, _FARTHEST_MM)
+    level = cv2.convertScaleAbs(near, alpha=slope, beta=255 - slope * _NEAREST_MM)
+    level[depth == 0] = 0
+    return np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), np.uint8)
 
 
 def map_png(density: NDArray[np.float32], full: float) -> bytes:
@@ -662,43 +636,25 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
-@cache
-def _levels() -> NDArray[np.uint8]:
-    """Return the level of each depth in mm in the colour map: 0 = hole, else the brighter the nearer."""
-    far = np.clip((np.arange(1 << 16) - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1)
-    level = np.rint(255 - (255 - _FARTHEST_LEVEL) * far).astype(np.uint8)
-    level[0] = 0
-    return level
-
-
-def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
-    """List the recorded gesture sessions for the page, as JSON values, without reading their pictures."""
-    return [
-        {**_named(item, item.path.name, catalog), "gesture": ", ".join(gestures), "frames": frames}
-        for item in catalog.items("session")
-        for gestures, frames in [_brief(item.path)]
-    ]
-
-
 def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """List the usable gesture models for the page, as JSON values."""
     found = [(item, _facts_of_model(item.path, item.changed)) for item in catalog.items("model")]
-    return [{**_named(item, item.path.stem, catalog), **facts} for item, facts in found if facts is not None]
-
-
-def _named(item: Item, name: str, catalog: Catalog) -> dict[str, Any]:
-    """Return id, name and path of an item for a list."""
-    return {"id": item.id, "name": name, "path": catalog.shown(item.path)}
+    return [
+        {"id": item.id, "path": catalog.shown(item.path), "gesture": facts[0], "threshold": facts[1]}
+        for item, facts in found
+        if facts is not None
+    ]
 
 
 @lru_cache(maxsize=512)
-def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
-    """Describe a model for the list; None where it cannot be used. changed: time of its last change, for the cache."""
-    try:
+def _facts_of_model(path: Path, changed: float) -> tuple[str, float | None] | None:
+    """Return the gesture and the threshold of a model; None where it cannot be used.
+
+    changed: time of its last change, for the cache.
+    """
+    with contextlib.suppress(HyposeError):
         model = load_model(path)
-    except HyposeError:
-        return None
-    return {"gestures": [model.name], "growing": True, "thresholds": [model.threshold]}
+        return model.name, model.threshold
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
@@ -710,7 +666,11 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
         for n in range(len(load_people()))
     ]
     recorded = [
-        {"value": f"session:{item.id}", "title": f"Recorded session {item.path.name}", "gestures": _brief(item.path)[0]}
+        {
+            "value": f"session:{item.id}",
+            "title": f"Recorded session {item.path.name}",
+            "gestures": _gestures_of(item.path),
+        }
         for item in catalog.items("session")
     ]
     camera: dict[str, Any] = {"value": "realsense", "title": "RealSense camera"}
@@ -719,14 +679,12 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
     return [*people, *recorded, camera]
 
 
-def _brief(folder: Path) -> tuple[list[str], int]:
-    """Read the names of the gestures and the number of frames of a session."""
-    try:
+def _gestures_of(folder: Path) -> list[str]:
+    """Read the names of the gestures of a session; none where it cannot be read."""
+    names = None
+    with contextlib.suppress(HyposeError, AttributeError):
         names = read_json(folder / "session.json", "a session.json").get("gestures")
-        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
-    except (HyposeError, AttributeError):
-        return [], 0
-    return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)
+    return [str(n) for n in names] if isinstance(names, list) else []
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:
@@ -751,9 +709,7 @@ def gesture_thumbnail(model: Path) -> bytes | None:
         depth = frame.depth()
         z = surface_depth(depth, frame.x, frame.y)
         half = _HALF_M * recording.lens.fx / (2.0 if z is None else z / 1000)
-        scale = _SIZE / (2 * half)
-        cut = cv2.getRotationMatrix2D((frame.x, frame.y), 0, scale)
-        cut[:, 2] += _SIZE / 2 - frame.x, _SIZE / 2 - frame.y
-        small = cv2.warpAffine(coloured(depth), cut, (_SIZE, _SIZE), flags=cv2.INTER_AREA)
-        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        size = (max(1, round(2 * half)),) * 2
+        hand = cv2.getRectSubPix(coloured(depth), size, (frame.x, frame.y))
+        return jpeg(np.asarray(cv2.resize(hand, (_SIZE, _SIZE)), np.uint8), _SIZE)
     return None

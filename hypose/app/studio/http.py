@@ -1,5 +1,5 @@
 """Talk to pages: read their requests field by field, build answers (JSON without NaN, errors as one sentence), refuse
-foreign requests, and send messages by WebSocket (`Hub`).
+foreign requests, and send messages by WebSocket (`Topic`).
 
 Every WebSocket message, request and address is read by these functions; their InputErrors are sentences for the page.
 """
@@ -9,16 +9,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
-import itertools
 import json
 import struct
-from collections.abc import AsyncIterator, Callable, Hashable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Hashable, Mapping, MutableMapping, Sequence
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -85,7 +84,7 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
 
     path: path of the address.
     call: gets the request, for POST also its JSON object; returns a response, or a value for a JSON answer. It runs in
-        a thread unless it is asynchronous; its HyposeErrors become error answers.
+        a thread, and what it returns to be awaited runs in the event loop; HyposeErrors become error answers.
     method: GET, POST or DELETE.
     status: status of HTTP for a value.
     """
@@ -93,7 +92,8 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
     async def endpoint(request: Request) -> Response:
         try:
             given = (request, await _body_of(request)) if method == "POST" else (request,)
-            value = await (call(*given) if inspect.iscoroutinefunction(call) else run_in_threadpool(call, *given))
+            value = await run_in_threadpool(call, *given)
+            value = await value if inspect.isawaitable(value) else value
         except HyposeError as error:
             return error_response(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
         return value if isinstance(value, Response) else answer(value, status)
@@ -224,12 +224,16 @@ def _capital(what: str) -> str:
 
 
 _CHANGING = frozenset({"POST", "PUT", "DELETE", "PATCH"})
-_POLICY = (
-    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
-    "worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-)
-"""Content security policy of all pages: nothing is loaded from elsewhere, whatever a recording or a bug puts into the
-page.
+_HEADERS = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "content-security-policy": "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self'; worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; "
+    "base-uri 'none'; form-action 'none'",
+}
+"""Headers of all answers that have no others. By the content security policy nothing is loaded from elsewhere, whatever
+a recording or a bug puts into a page.
 """
 
 
@@ -244,14 +248,12 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request or connection."""
-        if scope["type"] not in ("http", "websocket"):
-            return await self._app(scope, receive, send)
         try:
-            problem = self._problem(scope)
+            problem = None if scope["type"] == "lifespan" else self._problem(scope)
         except ValueError:  # an Origin or Host that is no address
             problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
         if problem is None:
-            await self._app(scope, receive, self._hardened(scope, send))
+            await self._app(scope, receive, _hardened(send))
         elif scope["type"] == "http":
             await error_response(problem[0].value, problem[1])(scope, receive, send)
         else:
@@ -276,26 +278,22 @@ class Guard:
             return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
         return None
 
-    def _hardened(self, scope: Scope, send: Send) -> Send:
-        """Return a `send` that adds security headers to an HTTP answer; for a WebSocket, `send` itself."""
-        if scope["type"] != "http":
-            return send
 
-        async def sending(message) -> None:  # noqa: ANN001 - an ASGI message
-            if message["type"] == "http.response.start":
-                headers = Headers(raw=message["headers"])
-                extra = {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
-                extra["cross-origin-resource-policy"] = "same-origin"
-                if "content-security-policy" not in headers:
-                    extra["content-security-policy"] = _POLICY
-                message["headers"] = [*message["headers"], *((k.encode(), v.encode()) for k, v in extra.items())]
-            await send(message)
+def _hardened(send: Send) -> Send:
+    """Return a `send` that adds security headers to an HTTP answer."""
 
-        return sending
+    async def sending(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sending
 
 
-# ---- hub -----------------------------------------------------------------------------------------------------------
-# Hub of the studio's WebSockets: /ws/TOPIC, with typed messages in both directions (docs/studio-protocol.md).
+# ---- topics ------------------------------------------------------------------------------------------------------
+# The studio's WebSockets: /ws/TOPIC, with typed messages in both directions (docs/studio-protocol.md).
 #
 # A page listens to one topic and sends messages to it. The queue of a slow page is limited: of messages with a key only
 # the newest waits, pictures wait until the page has drawn earlier ones, and a page that reads nothing is closed.
@@ -313,11 +311,18 @@ Message = Mapping[str, Any]
 
 
 class Topic:
-    """Topic that pages listen and send messages to. All methods are called in the server's event loop; name: name of
-    the topic, a part of the address.
+    """Topic that pages listen and send messages to; name: name of the topic, a part of the address. `post` and
+    `picture` may be called from any thread, and never wait; all else is called in the server's event loop.
+
+    Attributes:
+    pages: connections of the pages that listen.
     """
 
     name = ""
+
+    def __init__(self) -> None:
+        self.pages: list[_Page] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def hello(self) -> Message:
         """Return the first message to a page."""
@@ -327,87 +332,64 @@ class Topic:
         """Handle a message of a page; an InputError is sent to that page only."""
         raise InputError("A page has nothing to say here.")
 
-    def watched(self, pages: int) -> None:
-        """Handle a change of the number of listening pages."""
-
-
-class Hub:
-    """WebSocket connections of a server with the pages that listen to its topics. `post` and `picture` may be called
-    from any thread, and never wait.
-    """
-
-    def __init__(self) -> None:
-        self._topics: dict[str, Topic] = {}
-        self._pages: dict[str, list[_Page]] = {}
-        self._loop: asyncio.AbstractEventLoop | None = None
-
-    def add(self, topic: Topic) -> None:
-        """Add a topic that pages can listen to."""
-        self._topics[topic.name] = topic
-        self._pages[topic.name] = []
-
-    async def serve(self, ws: WebSocket) -> None:
-        """Accept a connection and handle it until either side ends it."""
-        self._loop = asyncio.get_running_loop()
-        topic = self._topics.get(ws.path_params["topic"])
-        await ws.accept()
-        if topic is None or sum(map(len, self._pages.values())) >= _MOST_PAGES:
-            await ws.close(1013, "too many connections; close some pages" if topic else "there is no such topic")
-            return
-        page, pages = _Page(ws), self._pages[topic.name]
-        page.put(_text(topic.hello()))
-        pages.append(page)
-        topic.watched(len(pages))
-        try:
-            await page.talk(topic)
-        except WebSocketDisconnect:
-            pass
-        finally:
-            pages.remove(page)
-            topic.watched(len(pages))
-
-    def listens(self, topic: str) -> bool:
-        """Return whether any page listens to a topic."""
-        return bool(self._pages[topic])
-
-    def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
-        """Send a message (or its JSON text) to all pages that listen to a topic.
+    def post(self, message: Message | str, key: Hashable = None) -> None:
+        """Send a message (or its JSON text) to all pages that listen.
 
         key: key of waiting messages with the same key only the newest is kept; None: all are kept.
         """
-        if self.listens(topic):
-            text = message if isinstance(message, str) else _text(message)
-            self._later(lambda: [page.put(text, key) for page in self._pages[topic]])
+        if self.pages:
+            self._send(message if isinstance(message, str) else _text(message), key)
 
-    def picture(self, topic: str, kind: int, seq: int, time: float, data: bytes) -> None:
-        """Send a picture to all pages of a topic: 16 bytes with type, stream, number and time, then the file. Of each
+    def picture(self, kind: int, seq: int, time: float, data: bytes) -> None:
+        """Send a picture to all pages that listen: 16 bytes with type, stream, number and time, then the file. Of each
         type only the newest waits.
 
-        topic: name of the topic.
         kind: DEPTH or MAP.
         seq: number of the picture, which the page answers.
         time: s.
         data: the file, JPEG or PNG.
         """
-        if self.listens(topic):
-            message = struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data
-            self._later(lambda: [page.put(message, kind) for page in self._pages[topic]])
+        if self.pages:
+            self._send(struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data, kind)
 
-    def _later(self, call: Any) -> None:
+    def _send(self, message: str | bytes, key: Hashable) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
             if self._loop is not None:
-                self._loop.call_soon_threadsafe(call)
+                self._loop.call_soon_threadsafe(lambda: [page.put(message, key) for page in self.pages])
+
+    async def serve(self, ws: WebSocket) -> None:
+        """Handle an accepted connection until either side ends it."""
+        self._loop, page = asyncio.get_running_loop(), _Page(ws)
+        self.pages.append(page)
+        page.put(_text(self.hello()))
+        try:
+            async with asyncio.TaskGroup() as talking:
+                talking.create_task(page.read(self))
+                talking.create_task(page.write())
+        except* WebSocketDisconnect:
+            pass
+        finally:
+            self.pages.remove(page)
+
+
+async def serve_topics(topics: Mapping[str, Topic], ws: WebSocket) -> None:
+    """Accept a connection to /ws/TOPIC and handle it until either side ends it."""
+    topic = topics.get(ws.path_params["topic"])
+    await ws.accept()
+    if topic is None or sum(len(t.pages) for t in topics.values()) >= _MOST_PAGES:
+        await ws.close(1013, "too many connections; close some pages" if topic else "there is no such topic")
+    else:
+        await topic.serve(ws)
 
 
 class _Page:
     """Server side of one connection; used in the event loop."""
 
     def __init__(self, ws: WebSocket) -> None:
-        self._ws = ws
+        self._ws, self._awake = ws, asyncio.Event()
         self._texts: dict[Hashable, str] = {}
         self._pictures: dict[Hashable, bytes] = {}
         self._unanswered: set[int] = set()
-        self._awake, self._numbers = asyncio.Event(), itertools.count()
 
     def put(self, message: str | bytes, key: Hashable = None) -> None:
         """Queue a text, or a picture with its header, which is sent when the page has drawn the last ones.
@@ -415,41 +397,31 @@ class _Page:
         key: key of messages with the same one only the newest waits; None: all wait.
         """
         queue: dict[Hashable, Any] = self._texts if isinstance(message, str) else self._pictures
-        key = next(self._numbers) if key is None else ("newest", key)
+        key = object() if key is None else key
         queue.pop(key, None)
         queue[key] = message
         self._awake.set()
 
-    async def talk(self, topic: Topic) -> None:
-        """Send queued messages and pass received ones to the topic, until either side ends the connection."""
-        reading = asyncio.ensure_future(self._read(topic))
+    async def write(self) -> None:
+        """Send queued texts, and pictures while the page has drawn enough of the earlier ones, until the page does not
+        keep up (WebSocketDisconnect).
+        """
         try:
-            while not reading.done() and len(self._texts) <= _MOST_WAITING:
-                woken = asyncio.ensure_future(self._awake.wait())
-                await asyncio.wait({woken, reading}, return_when=asyncio.FIRST_COMPLETED)
-                woken.cancel()
+            while len(self._texts) <= _MOST_WAITING:
+                while self._texts:
+                    await self._ws.send_text(self._texts.pop(next(iter(self._texts))))
+                while self._pictures and len(self._unanswered) < IN_FLIGHT:
+                    message = self._pictures.pop(next(iter(self._pictures)))
+                    self._unanswered.add(struct.unpack_from("<I", message, 4)[0])
+                    await self._ws.send_bytes(message)
+                await self._awake.wait()
                 self._awake.clear()
-                await self._send()
-            if reading.done():
-                reading.result()
             await self._ws.close(1013, "the page does not keep up")
-        finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
-
-    async def _send(self) -> None:
-        """Send all queued texts, and pictures while the page has drawn enough of the earlier ones."""
-        try:
-            while self._texts:
-                await self._ws.send_text(self._texts.pop(next(iter(self._texts))))
-            while self._pictures and len(self._unanswered) < IN_FLIGHT:
-                message = self._pictures.pop(next(iter(self._pictures)))
-                self._unanswered.add(struct.unpack_from("<I", message, 4)[0])
-                await self._ws.send_bytes(message)
         except RuntimeError:  # the connection is closed already
-            raise WebSocketDisconnect(1006) from None
+            pass
+        raise WebSocketDisconnect(1006)
 
-    async def _read(self, topic: Topic) -> None:
+    async def read(self, topic: Topic) -> None:
         """Pass messages of the page to a topic, until the page ends the connection (WebSocketDisconnect)."""
         while True:
             received = await self._ws.receive()

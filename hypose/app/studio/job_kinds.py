@@ -17,9 +17,9 @@ from typing import Any
 from hypose.app import options
 from hypose.app.commands import commands_recordings, commands_results
 from hypose.app.jobs.correct import read_correction
-from hypose.app.studio.catalog import Catalog, Item, Kind
+from hypose.app.studio.catalog import Catalog, Item, Kind, changed
 from hypose.errors import HyposeError, InputError
-from hypose.io.files import read_json, read_toml
+from hypose.io.files import free_path, read_json, read_toml
 from hypose.io.recordings.recording import Recording
 from hypose.options import Declared, declared
 
@@ -52,30 +52,32 @@ class Plan:
     makes: str | None = None
 
 
-_KINDS: Mapping[str, tuple[str, Callable[..., Any], str]] = {
+_KINDS: Mapping[str, tuple[str, str, Callable[..., Any], str]] = {
     "calibrate": (
         "Calibrate the cameras of {}",
+        "calibrate {} --from-person",
         options.CalibrateCommand,
         "chessboard charuco square marker dictionary inverted fisheye floor height yes",
     ),
-    "sync": ("How late are the cameras of {}?", options.SyncCommand, "by largest frames"),
-    "in_step": ("Synchronise {}", options.SyncCommand, "offsets"),
-    "check": ("Check {}", options.CheckCommand, "samples frames"),
-    "refine": ("Refine the calibration of {}", options.CheckCommand, "using far focal height"),
-    "keypoints": ("Find the person in the videos of {}", commands_recordings.keypoints, "yes"),
-    "silhouettes": ("Silhouettes of {}", commands_recordings.silhouettes, "frames"),
-    "subject": ("Measure the person in {}", options.SubjectCommand, "height mass start frames poses"),
+    "sync": ("How late are the cameras of {}?", "sync {}", options.SyncCommand, "by largest frames"),
+    "in_step": ("Synchronise {}", "sync {}", options.SyncCommand, "offsets"),
+    "check": ("Check {}", "check {}", options.CheckCommand, "samples frames"),
+    "refine": ("Refine the calibration of {}", "check {} --refine", options.CheckCommand, "using far focal height"),
+    "keypoints": ("Find the person in the videos of {}", "keypoints {}", commands_recordings.keypoints, "yes"),
+    "silhouettes": ("Silhouettes of {}", "silhouettes {}", commands_recordings.silhouettes, "frames"),
+    "subject": ("Measure the person in {}", "subject {}", options.SubjectCommand, "height mass start frames poses"),
     "track": (
         "Track {}",
+        "track {}",
         options.TrackCommand,
         "recipe refine evidence start height frames seed formats camera subject overlay",
     ),
-    "correct": ("Track {} again from frame {}", commands_recordings.correct, "until"),
-    "export": ("Export {}", commands_results.export, "formats"),
-    "demo": ("Make a demo recording and track it", commands_recordings.demo, "seconds seed"),
-    "fuse": ("Fuse {}", options.FuseCommand, ""),
+    "correct": ("Track {} again from frame {}", "correct {}", commands_recordings.correct, "until"),
+    "export": ("Export {}", "export {}", commands_results.export, "formats"),
+    "demo": ("Make a demo recording and track it", "demo", commands_recordings.demo, "seconds seed"),
+    "fuse": ("Fuse {}", "fuse {}", options.FuseCommand, ""),
 }
-"""Title of each kind, the declaration of its command's options, and those which a page may set."""
+"""Title of each kind, its command ({}: the path), the declaration of the options, and those which a page may set."""
 JOB_KINDS = tuple(_KINDS)
 _OWN = {"track": ("name",), "correct": ("start",)}
 """Values of a page that are no options of the command: the name of the result, the clicks to start from."""
@@ -87,7 +89,7 @@ _CLICKS = "clicks:"
 
 def form_of(kind: str) -> tuple[Declared, ...]:
     """List the options of a job that a page may set, as its command declares them."""
-    _, declares, names = _KINDS[kind]
+    _, _, declares, names = _KINDS[kind]
     known = {option.name: option for option in declared(declares)}
     return tuple(known[name] for name in names.split())
 
@@ -143,7 +145,7 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     """
     if kind not in JOB_KINDS:
         raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(JOB_KINDS)}.")
-    title, known = _KINDS[kind][0], [*(o.name for o in form_of(kind)), *_OWN.get(kind, ())]
+    title, words, known = *_KINDS[kind][:2], [*(o.name for o in form_of(kind)), *_OWN.get(kind, ())]
     given = request.get("options") or {}
     if not isinstance(given, dict):
         raise InputError("A job's options must be an object.")
@@ -152,38 +154,34 @@ def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
     arguments = () if kind in _OWN else _arguments(kind, given)
     if kind == "demo":
-        out = free_folder(catalog.root, "demo")
+        out = free_path(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
         return Plan(("demo", "--out", str(out), *arguments), title, catalog.id_of("recording", out), result)
     of = _OF.get(kind, "recording")
     item = catalog.find(of, request.get(of))
-    path, name = str(item.path), item.path.name
+    name, makes = item.path.name, None
+    command = (*(str(item.path) if word == "{}" else word for word in words.split()), *arguments)
     if kind == "export":
-        return Plan(("export", path, *arguments), title.format(name), None, item.id)
+        return Plan(command, title.format(name), None, item.id)
     if kind == "fuse":
         out = _inside(catalog, item, fused_in(item.path))
-        return Plan(("fuse", path, "--out", str(out)), title.format(name), None, catalog.id_of("result", out))
+        return Plan((*command, "--out", str(out)), title.format(name), None, catalog.id_of("result", out))
     if kind == "correct":
         return _correct(item, given, catalog)
     for folder in ("results", "results/silhouettes", "subject"):
         _inside(catalog, item, item.path / folder)
     if kind == "track":
         return _track(item, given, title.format(name), catalog)
-    command, makes = (kind, path, *arguments), None
     boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
     if kind == "calibrate" and boards:
         sheet = item.path / "results" / "calibration.png"
         made = ("--out", str(item.path / CALIBRATION), "--sheet", str(sheet))
         command = ("calibrate", *boards, *arguments, *made)
-    elif kind == "calibrate":
-        command = ("calibrate", path, "--from-person", *arguments)
-    elif kind == "refine":
-        command = ("check", path, "--refine", *arguments)
     elif kind == "in_step":
         if "offsets" not in given:
             raise InputError("Say by how many frames each view is late.")
-        out = _inside(catalog, item, free_folder(item.path.parent, f"{name}-in-step"))
-        command, makes = ("sync", path, *arguments, "--out", str(out)), catalog.id_of("recording", out)
+        out = _inside(catalog, item, free_path(item.path.parent, f"{name}-in-step"))
+        command, makes = (*command, "--out", str(out)), catalog.id_of("recording", out)
     return Plan(command, title.format(name), item.id, resumable=kind == "keypoints", makes=makes)
 
 
@@ -291,9 +289,8 @@ def read_found(folder: Path, name: str) -> dict[str, Any] | None:
     path = folder / "results" / name
     with contextlib.suppress(InputError, OSError):
         value = read_json(path, "what a command found")
-        toml = folder / "recording.toml"
-        changed = toml.is_file() and toml.stat().st_mtime > path.stat().st_mtime
-        return {**value, "stale": changed or value.get("stale") is True} if isinstance(value, dict) else None
+        stale = (changed(folder / "recording.toml") or 0.0) > (changed(path) or 0.0)
+        return {**value, "stale": stale or value.get("stale") is True} if isinstance(value, dict) else None
     return None
 
 
@@ -317,10 +314,10 @@ def _track(item: Item, given: Mapping[str, Any], title: str, catalog: Catalog) -
     name = given.get("name") or given.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
-    out = _inside(catalog, item, free_folder(item.path / "results", name))
+    out = _inside(catalog, item, free_path(item.path / "results", name))
     paths = ["--out", str(out)]
     if isinstance(start := given.get("start"), str) and start.startswith(_CLICKS):
-        paths += ["--start", str(_clicked(item.path, start))]
+        paths += ["--start", str(saved_clicks(item.path, start.removeprefix(_CLICKS)))]
         given = {**given, "start": None}
     if given.get("subject") is True:
         paths += ["--subject", str(item.path / "subject")]
@@ -339,22 +336,20 @@ def _correct(item: Item, given: Mapping[str, Any], catalog: Catalog) -> Plan:
     folder, start = catalog.recording_of(item.path), given.get("start")
     if folder is None or not isinstance(start, str) or not start.startswith(_CLICKS):
         raise InputError("Say which clicks the result is to be tracked again from.")
-    clicks = _clicked(folder, start)
+    clicks = saved_clicks(folder, start.removeprefix(_CLICKS))
     original = re.sub(r"-corrected(-\d+)?$", "", item.path.name)
-    out = free_folder(item.path.parent, f"{original}-corrected")
+    out = free_path(item.path.parent, f"{original}-corrected")
     title = _KINDS["correct"][0].format(item.path.name, read_correction(clicks).frame)
     command = ("correct", str(item.path), str(clicks), *_arguments("correct", given), "--out", str(out))
     return Plan(command, title, catalog.id_of("recording", folder), catalog.id_of("result", out))
 
 
-def _clicked(folder: Path, start: str) -> Path:
+def saved_clicks(folder: Path, name: str) -> Path:
     """Return the file of clicks that the page saved under a name.
 
     folder: folder of the recording.
-    start: "clicks:NAME".
     Raises: InputError where there are none.
     """
-    name = start.removeprefix(_CLICKS)
     path = folder / "starts" / f"{name}.json"
     if not is_name(name) or not path.is_file():
         raise InputError(f"There are no clicks saved as {name[:40]!r} in {folder.name}; save them first.")
@@ -364,13 +359,3 @@ def _clicked(folder: Path, start: str) -> Path:
 def is_name(text: str) -> bool:
     """Return whether a text is a safe name of a folder or file on any system."""
     return re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,78}[A-Za-z0-9_-])?", text) is not None
-
-
-def free_folder(parent: Path, name: str) -> Path:
-    """Return parent/name, or the first free numbered name: walk, walk-2, walk-3."""
-    numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
-    stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
-    path = parent / name
-    while path.exists():
-        path, number = parent / f"{stem}-{number}", number + 1
-    return path

@@ -25,7 +25,7 @@ from starlette.concurrency import run_in_threadpool
 
 from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.http import Hub, Message, NotNow, Topic
+from hypose.app.studio.http import Message, NotNow, Topic
 from hypose.app.studio.job_kinds import Plan, next_step, plan_job, uncalibrated
 from hypose.app.studio.recordings import edit_recording
 from hypose.errors import HyposeError
@@ -151,8 +151,9 @@ class Jobs(Topic):
 
     name = "jobs"
 
-    def __init__(self, catalog: Catalog, hub: Hub) -> None:
-        self._catalog, self._hub = catalog, hub
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__()
+        self._catalog = catalog
         self._jobs: dict[str, _StudioJob] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._turn = asyncio.Lock()  # jobs run one after the other, in their order
@@ -174,8 +175,8 @@ class Jobs(Topic):
             raise NotFound(f"There is no job {id[:40]!r}.")
         return self._jobs[id]
 
-    async def start(self, kind: str, request: Mapping[str, Any]) -> _StudioJob:
-        """Add a job to the queue and return it.
+    async def start(self, kind: Any, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Add a job to the queue and return it in the form of the page.
 
         kind: one of `JOB_KINDS`, or GO_ON.
         request: id of the recording or result, and the options of the job.
@@ -186,8 +187,8 @@ class Jobs(Topic):
             kind, request = await run_in_threadpool(self._next, request, "")
         return self._queue(kind, request, await run_in_threadpool(plan_job, kind, request, self._catalog))
 
-    def resume(self, id: str) -> _StudioJob:
-        """Continue a job that was stopped or failed, as a new job.
+    async def resume(self, id: str) -> dict[str, Any]:
+        """Continue a job that was stopped or failed, as a new job, which is returned in the form of the page.
 
         Raises: NotNow where it cannot be resumed.
         """
@@ -197,8 +198,8 @@ class Jobs(Topic):
         arguments = [a for a in old.plan.arguments if a != "--resume"]
         return self._queue(old.kind, old.request, replace(old.plan, arguments=(*arguments, "--resume")))
 
-    def cancel(self, id: str) -> _StudioJob:
-        """Stop a job; its work is kept.
+    async def cancel(self, id: str) -> dict[str, Any]:
+        """Stop a job and return it in the form of the page; its work is kept.
 
         Raises: NotNow where it has ended.
         """
@@ -207,7 +208,7 @@ class Jobs(Topic):
             raise NotNow(f"The job {job.plan.title!r} is {job.state} already.")
         job.stop()
         self._tell(job)
-        return job
+        return job.shown()
 
     def needs(self, id: str) -> bool:
         """Return whether an unfinished job uses the recording or result with this id."""
@@ -220,8 +221,8 @@ class Jobs(Topic):
                 job.stop()
             await asyncio.wait(self._tasks)
 
-    def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> _StudioJob:
-        """Add a job to the queue and return it.
+    def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> dict[str, Any]:
+        """Add a job to the queue and return it in the form of the page.
 
         kind, request: what the page requested.
         made: its command.
@@ -236,13 +237,13 @@ class Jobs(Topic):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         self._tell(job)
-        return job
+        return job.shown()
 
     def _tell(self, job: _StudioJob) -> None:
         """Report a changed job."""
-        self._hub.post(self.name, {"t": "job", "job": job.shown()}, key=job.id)
+        self.post({"t": "job", "job": job.shown()}, key=job.id)
         if job.state in ENDED:
-            self._hub.post(self.name, {"t": "files"})
+            self.post({"t": "files"})
 
     async def _run(self, job: _StudioJob) -> None:
         """Run a job when it is its turn, and then the one that follows on the way to a motion, where all of them were
@@ -319,9 +320,6 @@ def _progress(job: _StudioJob, text: str) -> bool:
     except (ValueError, KeyError, TypeError):
         return False
     seconds = time.monotonic() - job.starts.setdefault(name, time.monotonic())
-    per_s = done / seconds if seconds > 0.2 and done else None
-    left_s = (total - done) / per_s if per_s and done < total else None
-    unit = "frames" if name in COUNTED_IN_FRAMES else ""
-    figures = {"seconds": round(seconds, 2), "per_s": per_s, "left_s": left_s, "unit": unit}
+    figures = {"seconds": round(seconds, 2), "unit": "frames" if name in COUNTED_IN_FRAMES else ""}
     job.stages[name] = {"name": name, "title": title, "done": done, "total": total, **figures}
     return True

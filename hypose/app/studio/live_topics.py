@@ -19,17 +19,16 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from hypose.app.live import simulated_sensors
-from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import TrackingRun, pose_json, status_json
+from hypose.app.reports.result_pictures import jpeg
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.http import Hub, Message, NotNow, Topic, request_number, text, whole
-from hypose.app.studio.job_kinds import free_folder
+from hypose.app.studio.http import Message, NotNow, Topic, request_number, text, whole
 from hypose.body.default_body import human
 from hypose.errors import InputError
-from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
-from hypose.io.videos.camera_sources import is_device
+from hypose.io.files import free_path, natural_key
+from hypose.io.videos.video import is_device
 from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePersonOptions
@@ -55,7 +54,7 @@ def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
     """
     if not catalog.contains(catalog.root / folder):
         raise InputError(f"{folder} is a link that leads out of the served folder; remove it first.")
-    return free_folder(catalog.root / folder, name)
+    return free_path(catalog.root / folder, name)
 
 
 def _target(message: Message, kind: str, port: int) -> str | None:
@@ -83,8 +82,9 @@ class LiveTopic(Topic):
     joints: Mapping[str, Any] = {}
     """Names and parents of the joints, for pages."""
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        self._hub, self._catalog = hub, catalog
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__()
+        self._catalog = catalog
         self._changing = asyncio.Lock()  # of two pages that start at the same time the second one is refused
         self._running: Message | None = None
         self._parts = contextlib.AsyncExitStack()  # ends the parts of the run, the last one first
@@ -107,7 +107,7 @@ class LiveTopic(Topic):
             async with contextlib.AsyncExitStack() as parts:  # undo the beginning where a later part fails
                 self._running = await self._start(message, parts)
                 self._parts = parts.pop_all()
-        self._hub.post(self.name, self.hello())
+        self.post(self.hello())
 
     async def stop(self, why: str = "") -> None:
         """Stop the live run and inform the pages.
@@ -118,8 +118,8 @@ class LiveTopic(Topic):
             running, self._running = self._running, None
             await self._parts.aclose()
         if running is not None and (said := " ".join(self._words) or why):
-            self._hub.post(self.name, {"t": "said", "text": said})
-        self._hub.post(self.name, self.hello())
+            self.post({"t": "said", "text": said})
+        self.post(self.hello())
 
     async def _start(self, message: Message, parts: contextlib.AsyncExitStack) -> Message:
         """Start as a page requests.
@@ -142,17 +142,12 @@ class FuseTopic(LiveTopic):
         that send to it.
         """
         udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
-        rate = request_number(message.get("rate", 30), "the rate", 1, 240)
-        made_up = message.get("simulated") or 0
-        if made_up:
+        osc, seen = _target(message, "osc", 9000), None
+        if made_up := message.get("simulated") or 0:
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MAX_SIMULATED)
-        osc = _target(message, "osc", 9000)
-        seen = None
-        if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
-        settings = AlignSettings(rate=rate)
-        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
+        server = LiveServer(udp=udp, ws=ws, osc=osc, record=record)
         try:
             await server.start()
         except InputError:
@@ -163,25 +158,24 @@ class FuseTopic(LiveTopic):
         server.listeners.append(self._tell)
         if seen is not None:
             sending = asyncio.ensure_future(simulated_sensors.send(seen, server.take, np.random.default_rng(1)))
-            parts.push_async_callback(_cancel, sending)
+            parts.callback(sending.cancel)
         running = {"udp": server.udp_port, "ws": server.ws_port, "simulated": seen is not None, "osc": osc}
         return running | {"record": _reported(record)}
 
     def _tell(self, line: str) -> None:
         """Forward a message of the fusion server to the pages."""
-        self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+        self.post(_as_topic(line), key=line.partition(",")[0])
 
     async def _end(self, server: LiveServer) -> None:
         """Close the ports and complete the recording."""
         await server.stop()
-        if (record := _reported(server.options.record)) is not None:
+        if (record := _reported(server.record)) is not None:
             self._words.append(server.unrecorded or f"Recorded as {record}.")
 
 
-async def _cancel(task: asyncio.Task[None]) -> None:
-    """Cancel a task and wait for its end."""
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
+def _as_topic(line: str) -> str:
+    """Return a line of JSON of the live outputs as a message to pages."""
+    return line.replace('"type":', '"t":', 1)
 
 
 class CameraTopic(LiveTopic):
@@ -189,12 +183,16 @@ class CameraTopic(LiveTopic):
 
     name = "cameras"
 
-    def __init__(self, hub: Hub, catalog: Catalog) -> None:
-        super().__init__(hub, catalog)
+    def __init__(self, catalog: Catalog) -> None:
+        super().__init__(catalog)
         skeleton = human().skeleton
         self.joints = {"joints": skeleton.joint_names, "parents": [int(p) for p in skeleton.parents]}
         self._run: TrackingRun | None = None
         self._watching: asyncio.Task[None] | None = None
+
+    def hello(self) -> Message:
+        """Return the state, the joints, and the cameras of this computer."""
+        return {**super().hello(), "devices": list_devices()}
 
     async def heard(self, message: dict[str, Any]) -> None:
         """Handle a message of a page: start or stop the live run, or learn the empty room again ("room")."""
@@ -216,24 +214,23 @@ class CameraTopic(LiveTopic):
         recording = self._catalog.find("recording", message.get("recording"))
         sources = _sources(message.get("sources") or {})
         countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
-        rate = request_number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
-        ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
         recorded = message.get("record") is True
-        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate, not recorded)
+        cameras = await run_in_threadpool(live_rig, recording.path, sources, None, not recorded)
         record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
-        pictures = _Pictures(self._hub, self.name, cameras)
+        pictures = _Pictures(self, cameras)
         parts.callback(pictures.close)
         capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
-        person, outputs = LivePersonOptions(height=cameras.height), {"ws": ws, "osc": osc, "vmc": vmc}
+        person, outputs = LivePersonOptions(height=cameras.height), {"ws": 0, "osc": osc, "vmc": vmc}
         about = {"pictures": True, "listeners": [pictures], "record": record, **outputs}
         run = self._run = await run_in_threadpool(partial(TrackingRun, cameras, capture, person, people, **about))
         parts.push_async_callback(self._end, run, _reported(record))
         self._watching = asyncio.ensure_future(self._watch(run))
         port = run.outputs.listeners.port if run.outputs.listeners is not None else 0
         running = {"recording": recording.id, "cameras": run.cameras, "ws": port, "osc": osc, "vmc": vmc}
-        return running | {"record": _reported(record), "played": not sources}
+        places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
+        return running | {"record": _reported(record), "played": not sources, "places": places}
 
     async def _watch(self, run: TrackingRun) -> None:
         """Stop the run when all files are over or it has failed, and report that, and a failed recorder."""
@@ -242,7 +239,7 @@ class CameraTopic(LiveTopic):
             await asyncio.sleep(0.2)
             if run.recorder is not None and run.recorder.failed and not reported:
                 reported = True
-                self._hub.post(self.name, {"t": "said", "text": run.recorder.failed})
+                self.post({"t": "said", "text": run.recorder.failed})
         if self._running is not None and self._run is run:
             await self.stop("All videos are over.")
 
@@ -256,6 +253,16 @@ class CameraTopic(LiveTopic):
         if run.engine.failed is not None:
             self._words.append(f"It ended: {str(run.engine.failed).rstrip('.')}.")
         self._words += [said] * bool(said)
+
+
+def list_devices() -> list[dict[str, Any]]:
+    """List the cameras of this computer by number and name; none where the system has no such list (only Linux has)."""
+    found = []
+    for device in sorted(Path("/sys/class/video4linux").glob("video*"), key=lambda p: natural_key(p.name)):
+        with contextlib.suppress(OSError, ValueError):
+            if int((device / "index").read_text()) == 0:  # others of the same camera give no pictures
+                found.append({"number": int(device.name[5:]), "name": (device / "name").read_text().strip()})
+    return found
 
 
 def _sources(value: Any) -> dict[str, str]:
@@ -275,35 +282,25 @@ def _sources(value: Any) -> dict[str, str]:
 class _Pictures:
     """Listener of the engine that sends pages all poses, the status, and small pictures now and then."""
 
-    def __init__(self, hub: Hub, topic: str, cameras: LiveRig) -> None:
-        self._hub, self._topic = hub, topic
+    def __init__(self, topic: Topic, cameras: LiveRig) -> None:
+        self._topic = topic
         self._cameras = tuple(v.name for v in cameras.views)
-        self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
         self._drawn = -np.inf
         self._drawing, self._pool = Future[None](), ThreadPoolExecutor(1, "pictures")
         self._drawing.set_result(None)
 
     def seen(self, seen: LiveResult) -> None:
         """Send the poses of an instant, and let pictures be drawn where they are due."""
-        now, people = time.monotonic(), []
-        for pose in seen.poses:
-            person = json.loads(pose_json(pose, now - seen.captured.arrival, self._cameras))
-            people.append(person | {"seen": not pose.lost, "sensors": person["cameras"]})
+        now = time.monotonic()
+        people = [json.loads(pose_json(pose, now - seen.captured.arrival, self._cameras)) for pose in seen.poses]
         if people:
-            first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
-            self._hub.post(self._topic, {"t": "frame", **first, "people": people}, key="frame")
-        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._hub.listens(self._topic):
+            self._topic.post({"t": "frame", "people": people}, key="frame")
+        if now - self._drawn >= PICTURES_S and self._drawing.done() and self._topic.pages:
             self._drawn, self._drawing = now, self._pool.submit(self._draw, seen)
 
     def status(self, status: LiveStatus) -> None:
         """Send the state of the run."""
-        reported: dict[str, Any] = json.loads(status_json(status))
-        del reported["type"]
-        reported |= {"t": "status", "sensors": reported.pop("cameras")}
-        alive = {c.name: not c.trouble for c in status.cameras}
-        for camera, place in zip(reported["sensors"], self._places, strict=False):
-            camera |= {"alive": alive[camera["name"]], "registered": True, "residual": None, "place": place}
-        self._hub.post(self._topic, reported, key="status")
+        self._topic.post(_as_topic(status_json(status)), key="status")
 
     def close(self) -> None:
         """Stop drawing pictures."""
@@ -313,24 +310,23 @@ class _Pictures:
         """Send pictures of an instant."""
         views = zip(self._cameras, seen.captured.jpegs, seen.captured.views, strict=True)
         pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
-        self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
+        self._topic.post({"t": "pictures", "cameras": pictures}, key="pictures")
 
 
-def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
+def _picture(taken: bytes | None, bits: np.ndarray | None) -> str | None:
     """Encode a small picture with the mask as a tint, base64.
 
-    jpeg: the picture as captured, or None.
+    taken: the picture as captured, a JPEG, or None.
     bits: mask (h, w / 8), eight pixels per byte, or None.
     Returns: None without a picture.
     """
-    if jpeg is None:
+    if taken is None:
         return None
-    image = np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR))
+    image = np.asarray(cv2.imdecode(np.frombuffer(taken, np.uint8), cv2.IMREAD_COLOR))
     size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     if bits is not None:
         mask = np.unpackbits(bits, axis=1)
         inside = cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) > 0
         small[inside] = (0.55 * small[inside] + 0.45 * _TINT).astype(np.uint8)
-    ok, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return base64.b64encode(data.tobytes()).decode() if ok else None
+    return base64.b64encode(jpeg(small, _WIDTH, _QUALITY)).decode()

@@ -1,8 +1,4 @@
-"""Read the pictures and masks of any frame of an open recording, for the View and Set up screens.
-
-A user who drags along the timeline requests frames in any order, and decoding a long video from its start would take
-seconds. So frames are reached by seeking where that was found to be exact in this video, and by decoding otherwise.
-"""
+"""Read the pictures and masks of any frame of an open recording, for the View and Set up screens."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
-import cv2
 import numpy as np
 
 from hypose.app.reports.result_pictures import ViewImages, as_shown, jpeg, mask_outline
@@ -22,65 +17,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.object_masks import ObjectMasks
-from hypose.io.recordings.recording import Recording, ViewSettings
-from hypose.io.recordings.view_source import Preparer
-from hypose.io.videos.video import open_capture, open_video
-
-_DECODED_AHEAD = 24  # frames ahead that are faster decoded than reached by seeking
-_TRIAL = 10  # the frame at which seeking is tested
-
-
-class AnyFrame(ViewImages):
-    """Recorded pictures of one view in any order."""
-
-    def __init__(self, view: ViewSettings, camera: Camera) -> None:
-        super().__init__(view, camera)
-        self._jumps: cv2.VideoCapture | None = None
-        self._next = 0
-        self._exact: bool | None = None if view.source is not None and view.source.is_file() else False
-
-    def stored(self, index: int) -> Image | None:
-        """Read a frame of the video, folder of images or masks; other frames stay valid."""
-        reader = self.reader
-        assert reader is not None
-        if isinstance(reader, ObjectMasks) or 0 <= index - reader.position <= _DECODED_AHEAD or not self._can_jump():
-            return reader.read(index)
-        return self._jump(index)
-
-    def _can_jump(self) -> bool:
-        """Return whether seeking is exact in this video; the first call tests it on frame _TRIAL."""
-        if self._exact is None:
-            path, count, self._exact = self.view.source, 0 if self.reader is None else self.reader.n_frames, False
-            if path is not None and count > _TRIAL + 1:
-                with open_video(path) as forward:
-                    true = forward.read(_TRIAL)
-                self._jumps = open_capture(path)
-                self._jumps.set(cv2.CAP_PROP_POS_FRAMES, count - 1)  # first seek to another frame
-                self._next = -1
-                tried = self._jump(_TRIAL)
-                self._exact = tried is not None and np.array_equal(tried, true)
-        return self._exact
-
-    def _jump(self, index: int) -> Image | None:
-        """Read a frame by seeking, or by decoding a few frames more; None where it cannot be read."""
-        capture = self._jumps
-        assert capture is not None
-        if self._next < 0 or not 0 <= index - self._next <= _DECODED_AHEAD:
-            capture.set(cv2.CAP_PROP_POS_FRAMES, index)
-            self._next = index
-        while self._next < index:
-            capture.grab()
-            self._next += 1
-        ok, frame = capture.read()
-        self._next = index + 1 if ok else -1
-        return np.asarray(frame, np.uint8) if ok else None
-
-    def close(self) -> None:
-        """Release the file."""
-        super().close()
-        if self._jumps is not None:
-            self._jumps.release()
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording_views import Preparer
 
 
 class OpenRecording:
@@ -90,16 +28,14 @@ class OpenRecording:
     recording: the recording.
     frames: frame of the first row, and the frame after that of the last row; None: all frames, so that row numbers
         are frame numbers.
-    users: number of users at present.
     """
 
     def __init__(self, recording: Recording, frames: tuple[int, int] | None = None) -> None:
         self.recording, self._frames = recording, frames
         self._first, self._end = frames or (0, recording.n_frames)
-        self._readers: dict[int, AnyFrame] = {}
+        self._readers: dict[int, ViewImages] = {}
         self._last: dict[int, tuple[int, Image]] = {}  # row and picture that each reader read last
         self._lenses: dict[int, Preparer] = {}  # of the size that each view was asked for last
-        self.users = 0
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.RLock(), threading.Lock()
 
@@ -110,11 +46,12 @@ class OpenRecording:
         Returns: (h, w, 3) BGR; None beyond the end of the view, or where it has no pictures.
         """
         if view not in self._readers:
-            self._readers[view] = AnyFrame(self.recording.views[view], self.recording.rig[view])
+            self._readers[view] = ViewImages(self.recording.views[view], self.recording.rig[view], jumps=True)
         row_of_last, image = self._last.get(view, (-1, None))
         if row_of_last != row:
             image = self._readers[view].read(self._first + row)
             if image is not None:
+                image = image.copy()  # the reader uses its memory again
                 self._last[view] = row, image
         return image
 

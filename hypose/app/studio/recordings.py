@@ -11,15 +11,15 @@ import threading
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.catalog import Catalog, Item, NotFound, is_recording
-from hypose.app.studio.http import NotNow, request_choice, text, whole
+from hypose.app.studio.catalog import Catalog, Item, NotFound, changed, is_recording
+from hypose.app.studio.http import NotNow, object_of, request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import (
     CALIBRATION,
@@ -36,11 +36,9 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import natural_key, text_of
-from hypose.io.files import read_text, read_toml, toml_lines, toml_value, write_text
+from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
-    SILHOUETTE_KEYS,
     Recording,
     load_recording,
     silhouette_lines,
@@ -48,11 +46,10 @@ from hypose.io.recordings.recording import (
     write_recording,
 )
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
-from hypose.json_text import parse_json
 
 # ---- edits ---------------------------------------------------------------------------------------------------------
 # Correct faults that a check has found by a change of recording.toml; its other lines stay unchanged. The text is split
-# into tables: the lines of the recording itself, then of each [table] with its header.
+# into tables: that of the recording itself, then each [table] with its header.
 
 
 _KINDS = (
@@ -62,7 +59,8 @@ _KINDS = (
 _VIEW, _AWAY = "[[view]]", "[[left_out]]"
 """Headers of the table of a view, and of one that is left out."""
 _REFINED = "results/calibration_refined*.toml"
-_Tables = list[list[str]]
+_BEFORE_TABLE = re.compile(r"(?m)^(?=[ \t]*\[)")
+"""Place before a header, at which the text is split."""
 
 
 def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
@@ -79,24 +77,25 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     what = request_choice(asked.get("what"), "way to repair", _KINDS)
     path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
-    tables = _tables_of(before)
+    tables = _BEFORE_TABLE.split(before)
     if what == "use_refined":
-        tables[0] = _with_calibration(tables[0], newest_refined_calibration(folder))
+        if (refined := newest_refined_calibration(folder)) is None:
+            raise InputError("There is no refined calibration yet; refine it first.")
+        # it is in metres with z up
+        tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
     elif what == "take_back":
-        for lines in tables[1:]:
-            lines[0] = lines[0].replace(_AWAY, _VIEW)
+        tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
     elif what == "keypoint_pixels":
-        tables[0] = _set(tables[0], "keypoint_pixels", "image")
+        tables[0] = _set(tables[0], keypoint_pixels="image")
     elif what == "height":
         metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
-        tables[0] = _set(tables[0], "subject_height", metres)
+        tables[0] = _set(tables[0], subject_height=metres)
     elif what == "keypoint_lag":
         frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
-        lag = frames + (0 if recording is None else recording.keypoint_lag)
-        tables[0] = _set(tables[0], "keypoint_lag", lag)
+        tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
     else:
         _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
-    write_text(path, "\n".join(line for lines in tables for line in lines))
+    write_text(path, "".join(tables))
     if what not in ("height", "board"):
         try:
             load_recording(folder)
@@ -106,7 +105,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
 
 
 def _edit_view(
-    tables: _Tables,
+    tables: list[str],
     parsed: Sequence[Mapping[str, Any]],
     what: str,
     asked: Mapping[str, Any],
@@ -119,26 +118,26 @@ def _edit_view(
     tables: tables of recording.toml; the table is changed in place.
     parsed: values of the views.
     """
-    views = [k for k, lines in enumerate(tables) if _header(lines) == _VIEW]
+    views = [k for k, table in enumerate(tables) if _header(table) == _VIEW]
     if len(views) != len(parsed):
         raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
     names = [str(v.get("name") or f"view{k}") for k, v in enumerate(parsed, 1)]
     name = request_choice(asked.get("view"), "view", names)
-    number, value = names.index(name), cast(Any, True)
-    lines = tables[views[number]]
+    number = names.index(name)
     if what == "leave_out":
         if len(names) < 2:
             raise InputError(f"{name} is the only view; a recording needs one.")
-        lines[0] = lines[0].replace(_VIEW, _AWAY)
+        tables[views[number]] = tables[views[number]].replace(_VIEW, _AWAY, 1)
         return
+    value: Any = True
     if what == "image_shift":
         old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
         by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
         value = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
-    if what in ("background", "board"):
+    elif what != "accept_scaled":
         room = catalog.inside(text(asked.get("path"), "file of a view", 1000, "choose one"), folder)
         value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
-    tables[views[number]] = _set(lines, what, value)
+    tables[views[number]] = _set(tables[views[number]], **{what: value})
 
 
 def tick_findings(folder: Path, numbers: Sequence[Any]) -> None:
@@ -163,40 +162,18 @@ def newest_refined_calibration(folder: Path) -> str | None:
     return files[-1].relative_to(folder).as_posix() if files else None
 
 
-def _tables_of(text: str) -> _Tables:
-    """Split a TOML text into the lines of its tables, the first without a header."""
-    tables: _Tables = [[]]
-    for line in text.split("\n"):
-        if line.lstrip().startswith("["):
-            tables.append([])
-        tables[-1].append(line)
-    return tables
+def _header(table: str) -> str:
+    """Return the header of a table, without a comment; "" for the values of the recording itself."""
+    first = table.split("\n")[0].split("#")[0].strip()
+    return first if first.startswith("[") else ""
 
 
-def _header(lines: Sequence[str]) -> str:
-    """Return the header of a table, without a comment; "" where it is empty."""
-    return lines[0].split("#")[0].strip() if lines else ""
-
-
-def _set(lines: Sequence[str], key: str, value: Any) -> list[str]:
-    """Return the lines of a table with a key set; an older line of it is removed."""
-    at = int(_header(lines).startswith("["))
-    others = [line for line in lines[at:] if not re.match(rf"\s*{key}\s*=", line)]
-    return [*lines[:at], f"{key} = {toml_value(value)}", *others]
-
-
-def _with_calibration(lines: Sequence[str], name: str | None) -> list[str]:
-    """Return the lines of the recording itself with another calibration, in metres with z up; the old ones become
-    comments.
-
-    name: path of the calibration, relative to the recording.
-    Raises: InputError where it is None.
-    """
-    if name is None:
-        raise InputError("There is no refined calibration yet; refine it first.")
-    old = re.compile(r"\s*(calibration|calibration_unit|world_up)\s*=")
-    kept = [f"# before: {line.strip()}" if old.match(line) else line for line in lines]
-    return [f"calibration = {toml_value(name)}", *kept]
+def _set(table: str, **values: Any) -> str:
+    """Return a table with keys set, or removed where they are None; the last line of each becomes a comment."""
+    keys, at = "|".join(values), table.find("\n") + 1 if _header(table) else 0
+    kept = re.sub(rf"(?m)^# before: ({keys}) =.*\n?", "", table[at:])
+    new = "".join(f"{line}\n" for line in toml_lines(values))
+    return table[:at] + new + re.sub(rf"(?m)^[ \t]*({keys})\s*=", r"# before: \1 =", kept)
 
 
 _OPEN, _QUALITY = 2, 85
@@ -216,8 +193,7 @@ class Recordings:
 
         Raises: InputError names the cause.
         """
-        with self.opened(item.path) as opened:
-            return opened.recording
+        return self.opened(item.path).recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
         """Collect the facts about a recording that the page shows.
@@ -225,7 +201,8 @@ class Recordings:
         results: ids of the recording's results.
         Returns: JSON values.
         """
-        made = item.path.with_name(f"{item.path.name}-in-step")
+        made, said = item.path.with_name(f"{item.path.name}-in-step"), described(item.path)
+        refined, away = newest_refined_calibration(item.path), said.get("left_out", [])
         common = {
             "in_step": self._catalog.id_of("recording", made) if (made / "recording.toml").is_file() else None,
             "id": item.id,
@@ -235,17 +212,22 @@ class Recordings:
             "sync": read_found(item.path, "sync.json"),
             "check": read_found(item.path, "check.json"),
             "subject": read_subject(item.path),
-            "left_out": _excluded_views(item.path),
-            "refined": _unused(item.path),
+            "left_out": [str(v.get("name") or v.get("camera")) for v in away if isinstance(v, dict)],
+            "refined": refined if said.get("calibration") != refined else None,
             "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
         }
         try:
             r = self.load(item)
         except HyposeError as error:
-            nothing: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
-            nothing |= {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None}
-            nothing |= {"mask_settings": asdict(SilhouetteSettings()), "next": None, "offsets": None}
-            return {**nothing, **common, "name": item.path.name, "problem": str(error)}
+            return {
+                **common,
+                **dict.fromkeys(("views", "cameras", "notes"), []),
+                **dict.fromkeys(("frame_range", "subject_height", "next", "offsets")),
+                **dict.fromkeys(("frame_rate", "frames"), 0),
+                "mask_settings": asdict(SilhouetteSettings()),
+                "name": item.path.name,
+                "problem": str(error),
+            }
         step = next_step(item.path, r)
         return {
             **common,
@@ -281,51 +263,47 @@ class Recordings:
             "mask_settings": asdict(r.silhouettes),
         }
 
-    def picture(
-        self, item: Item, camera: str, frame: int, width: int, shown: str, settings: Mapping[str, str]
-    ) -> bytes:
-        """Encode an undistorted picture as JPEG, with the mask that `settings` (over the recording's own) would give.
+    def picture(self, item: Item, camera: str, frame: int, width: int, shown: str, settings: str | None) -> bytes:
+        """Encode an undistorted picture as JPEG, with the mask that `settings` would give.
 
         item: the recording.
         camera: its name.
         frame: number of the frame, from 0.
         width: width of the picture, px; at most that of the camera.
         shown: "none", or the mask as "edge", "fill" or "only".
-        settings: settings of the mask, texts by their names.
+        settings: JSON object of the settings of the mask; None: those of the recording.
         Raises: NotFound or InputError where there is no such picture.
         """
-        with self.opened(item.path) as opened:
-            r = opened.recording
-            if camera not in r.rig.names:
-                raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-            opened.check(frame, width)
-            view, options = r.rig.names.index(camera), _with_query(r.silhouettes, settings)
-            full = r.rig[view]
-            w = min(width, full.size[0])
-            small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
-            if r.views[view].source is None and shown == "none":
-                raise NotFound(f"{camera} has masks only, no pictures.")
-            masked = [] if shown == "none" else [opened.mask(view, frame, options)]
-            image = opened.undistorted(view, frame, small) if r.views[view].source else None
-        for person in masked:
-            image = _draw_mask(np.full((*person.shape, 3), 40, np.uint8) if image is None else image, person, shown)
-        assert image is not None
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        opened = self.opened(item.path)
+        r = opened.recording
+        if camera not in r.rig.names:
+            raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
+        opened.check(frame, width)
+        view, options = r.rig.names.index(camera), r.silhouettes
+        if settings is not None:
+            options = silhouette_options("The settings", object_of(settings, "value of settings"))
+        full, pictured = r.rig[view], r.views[view].source is not None
+        w = min(width, full.size[0])
+        small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
+        if shown == "none" and not pictured:
+            raise NotFound(f"{camera} has masks only, no pictures.")
+        mask = None if shown == "none" else opened.mask(view, frame, options)
+        grey = np.full((*small.size[::-1], 3), 40, np.uint8)
+        image = opened.undistorted(view, frame, small) if pictured else grey
+        return jpeg(image if mask is None else _draw_mask(image, mask, shown), w, _QUALITY)
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""
         options = silhouette_options("The settings", settings)
         path = _description(item.path, self.load(item))
         read_toml(path)
-        tables = _tables_of(read_text(path, "a recording.toml"))
-        kept = [line for lines in tables if _header(lines) != "[silhouettes]" for line in lines]
-        write_text(path, "\n".join(["\n".join(kept).rstrip("\n"), *silhouette_lines(options)]) + "\n")
+        tables = _BEFORE_TABLE.split(read_text(path, "a recording.toml"))
+        kept = "".join(table for table in tables if _header(table) != "[silhouettes]")
+        write_text(path, "\n".join([kept.rstrip("\n"), *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
-    @contextlib.contextmanager
-    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> Iterator[OpenRecording]:
-        """Open a recording, or return the open one; it stays open while the block runs, and then until others
-        were used after it.
+    def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> OpenRecording:
+        """Open a recording, or return the open one; the last ones that were used stay open.
 
         folder: folder of the recording.
         frames: frame of the first row, and the frame after that of the last row; None: all frames.
@@ -335,22 +313,16 @@ class Recordings:
         if opened is None:  # reading it may take seconds, which others need not wait for; it opens no video yet
             opened = OpenRecording(load_recording(folder, uncalibrated=uncalibrated(folder)), frames)
         with self._lock:
-            opened = self._open.pop(key, opened)
-            self._open[key] = opened
-            opened.users += 1
-        try:
-            yield opened
-        finally:
-            with self._lock:
-                opened.users -= 1
-                for unused in [k for k, o in self._open.items() if not o.users][:-_OPEN]:
-                    self._open.pop(unused).close()
+            opened = self._open[key] = self._open.pop(key, opened)
+            old = [self._open.pop(k) for k in list(self._open)[:-_OPEN]]
+        for one in old:  # where it is still in use, it opens what it needs again
+            one.close()
+        return opened
 
-    def drop(self) -> None:
-        """Close the recordings that are not in use, since some systems cannot move open files."""
-        with self._lock:
-            for unused in [k for k, o in self._open.items() if not o.users]:
-                self._open.pop(unused).close()
+    def close(self) -> None:
+        """Close all recordings, since some systems cannot move open files; they open again when they are used."""
+        for one in list(self._open.values()):
+            one.close()
 
 
 def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
@@ -373,41 +345,16 @@ def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
     return out
 
 
-def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
-    """Return the options with settings from a query: texts as in JSON, lists as numbers with commas."""
-    table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
-    for key, value in settings.items():
-        kind = SILHOUETTE_KEYS.get(key)
-        try:
-            table[key] = value if kind is str else parse_json(f"[{value}]" if kind is list else value)
-        except (ValueError, RecursionError):
-            raise InputError(f"The mask setting {key[:40]} cannot be {value[:40]!r}.") from None
-    return silhouette_options("The settings", table)
-
-
 def board_of(folder: Path) -> dict[str, Any] | None:
     """Describe the calibration by a board: cameras with clips of the board (none where they are calibrated from the
     person), whether they are calibrated, and the time (s) of the contact sheet, None without one. None where neither
     applies.
     """
-    sheet, names = folder / "results" / "calibration.png", list[str]()
+    sheet, names = changed(folder / "results" / "calibration.png"), list[str]()
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
-    made = sheet.stat().st_mtime if sheet.is_file() else None
     calibrated = (folder / CALIBRATION).is_file()
-    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or uncalibrated(folder) else None
-
-
-def _excluded_views(folder: Path) -> list[str]:
-    """List the names of the views that were left out of a recording."""
-    away = described(folder).get("left_out", [])
-    return [str(v.get("name") or v.get("camera")) for v in away if isinstance(v, dict)]
-
-
-def _unused(folder: Path) -> str | None:
-    """Return a refined calibration that the recording does not use yet."""
-    found = newest_refined_calibration(folder)
-    return found if described(folder).get("calibration") != found else None
+    return {"cameras": names, "calibrated": calibrated, "sheet": sheet} if names or uncalibrated(folder) else None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
@@ -421,7 +368,7 @@ def read_subject(folder: Path) -> dict[str, Any] | None:
 def _stamp(folder: Path) -> float:
     """Return a number that changes when the recording's description changes, or the detector has run."""
     names = ("recording.toml", "Config.toml", "calibration.toml", "subject", "keypoints/detector.json")
-    return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())
+    return sum(changed(folder / name) or 0.0 for name in names)
 
 
 # ---- folders -------------------------------------------------------------------------------------------------------
@@ -490,9 +437,6 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     calibration, boards = wanted.get("calibration"), [v for v in views if v.get("board") is not None]
     cameras = [text(v.get("camera"), "camera of a video", 200, "choose it") for v in views]
     if calibration is None and boards:
-        missing = [c for c, v in zip(cameras, views, strict=True) if v not in boards]
-        if missing:
-            raise InputError(f"There is no clip of the board of {missing[0]}; add it, or a calibration of all cameras.")
         cameras = [s.name for s in find_sources([_placed(catalog, folder, v, "board") for v in views])]
     calibration = text(CALIBRATION if calibration is None else calibration, "calibration", 1000, "choose one")
     said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
@@ -525,7 +469,7 @@ def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) 
     view: view of the request.
     role: key of the file in it, one of _ROLES.
     """
-    path = catalog.inside(text(view.get(role), role, 1000, "choose one"), folder)
+    path = catalog.inside(text(view.get(role), f"{role} of {view.get('camera')}", 1000, "choose one"), folder)
     if not path.is_relative_to(folder):
         raise InputError(f"{path.name} does not lie in {folder.name}; choose a folder that holds all files.")
     return path

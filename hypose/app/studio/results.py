@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from hypose.app.reports.result_pictures import close_up, draw_skeleton, jpeg
-from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.catalog import Catalog, Item, NotFound, changed
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.pictures import OpenRecording
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import ViewResult, first_frame, load_view, quality_of, view_bundle
+from hypose.app.studio.view_bundle import ViewResult, body_of, first_frame, load_view, quality_of, view_bundle
 from hypose.errors import HyposeError
-from hypose.io.motions.results import Checkpoint, load_body, load_motion
+from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, load_motion
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
-_READ = ("motion.npz", "body.npz", "assessment.json", "modes.npz", "checkpoint.npz")
+_READ = ("motion.npz", "body.npz", "assessment.json", "modes.npz")
 """Files of a result that its facts are read from."""
 _SIZE = (192, 144)
 """Width and height of a thumbnail, px."""
@@ -46,8 +45,8 @@ class Results:
         with self._one:
             return view_bundle(load_view(item.path))
 
-    def pictures(self, item: Item) -> AbstractContextManager[OpenRecording]:
-        """Open the pictures of a result's recording, as a context; results of the same frames share them.
+    def pictures(self, item: Item) -> OpenRecording:
+        """Open the pictures of a result's recording; results of the same frames share them.
 
         Raises: NotFound where there is no recording.
         """
@@ -109,12 +108,12 @@ class Results:
         """
         motion = load_motion(item.path / "motion.npz")
         seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2))).tolist()
-        with self.pictures(item) as opened:
-            for row in seen and [seen[len(seen) // 2], seen[0]]:
-                if (found := opened.first_picture(row)) is not None:
-                    small, camera = close_up(*found, motion.joints[row], _SIZE, 1.5)
-                    draw_skeleton(small, camera, motion.skeleton, motion.joints[row])
-                    return jpeg(small, _SIZE[0])
+        opened = self.pictures(item)
+        for row in seen and [seen[len(seen) // 2], seen[0]]:
+            if (found := opened.first_picture(row)) is not None:
+                small, camera = close_up(*found, motion.joints[row], _SIZE, 1.5)
+                draw_skeleton(small, camera, motion.skeleton, motion.joints[row])
+                return jpeg(small, _SIZE[0])
         raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> dict[str, Any]:
@@ -125,8 +124,8 @@ class Results:
             are empty where the person does not walk, or the motion has no poses or no body.
         """
         with self._one, contextlib.suppress(HyposeError):
-            motion, body = load_motion(item.path / "motion.npz"), load_body(item.path / "body.npz")
-            if motion.poses is not None and body.skeleton.joint_names == motion.skeleton.joint_names:
+            motion = load_motion(item.path / "motion.npz")
+            if (body := body_of(ResultsFolder(item.path), motion)) is not None:
                 found = gait_of(motion, body)
                 return {
                     "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
@@ -154,7 +153,7 @@ class Results:
         recording = self._recordings.load(self._catalog.find("recording", plan.recording))
         checkpoint, motion = folder / "checkpoint.npz", folder / "motion.npz"
         if not checkpoint.is_file():
-            if began is None or not motion.is_file() or motion.stat().st_mtime < began:
+            if began is None or (changed(motion) or 0.0) < began:
                 return None
             return view_bundle(load_view(folder, recording))
         saved = Checkpoint.read(checkpoint)
@@ -166,24 +165,14 @@ class Results:
             raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
         estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
         times = np.arange(len(estimates)) / recording.frame_rate
-        frames = saved.identity.get("settings", {}).get("frames")
         tracked = motion_of(body, times, estimates, saved.identity)
-        first = int(frames[0]) if frames else 0
+        first = first_frame(tracked)
         return view_bundle(ViewResult(recording.name, tracked, body, recording, first_frame=first, complete=False))
 
 
 def _stamp(folder: Path) -> Stamp:
     """Return the times of change of the files that a result's facts are read from, to notice changes.
 
-    Returns: s since 1970 by file; None where it does not exist. Of a checkpoint, which changes often, 0 stands for the
-        time.
+    Returns: s since 1970 by file, None where it does not exist; last 1 where there is a checkpoint, which changes.
     """
-
-    def written(name: str) -> float | None:
-        try:
-            at = (folder / name).stat().st_mtime
-        except OSError:
-            return None
-        return 0.0 if name == "checkpoint.npz" else at
-
-    return tuple(written(n) for n in _READ)
+    return *(changed(folder / name) for name in _READ), float((folder / "checkpoint.npz").exists())

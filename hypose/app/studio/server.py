@@ -9,6 +9,7 @@ import socket
 import threading
 import zipfile
 from collections.abc import AsyncIterator, Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -19,7 +20,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
@@ -32,13 +33,11 @@ from hypose.app.studio.gesture_session import (
     GestureTopic,
     gesture_thumbnail,
     models_shown,
-    sessions_shown,
     sources_shown,
 )
 from hypose.app.studio.http import (
     MAX_MESSAGE,
     Guard,
-    Hub,
     NotNow,
     block_answer,
     digits,
@@ -46,7 +45,7 @@ from hypose.app.studio.http import (
     jpeg_answer,
     request_choice,
     route,
-    text,
+    serve_topics,
 )
 from hypose.app.studio.job_kinds import forms, fused_in
 from hypose.app.studio.jobs import Jobs
@@ -79,18 +78,23 @@ class Studio:
     def __init__(self, root: Path, host: str = "127.0.0.1", token: str | None = None) -> None:
         self.token = token_for(host, token)
         self.catalog = Catalog(root)
-        self.hub = Hub()
-        self.jobs = Jobs(self.catalog, self.hub)
+        self.jobs = Jobs(self.catalog)
         self.recordings = Recordings(self.catalog)
         self.results = Results(self.catalog, self.recordings)
-        self.gestures = GestureTopic(self.hub, self.catalog)
-        self.fusion, self.cameras = FuseTopic(self.hub, self.catalog), CameraTopic(self.hub, self.catalog)
-        for topic in (self.jobs, self.gestures, self.fusion, self.cameras):
-            self.hub.add(topic)
+        self.gestures = GestureTopic(self.catalog)
+        self.fusion, self.cameras = FuseTopic(self.catalog), CameraTopic(self.catalog)
+        topics = {t.name: t for t in (self.jobs, self.gestures, self.fusion, self.cameras)}
+        sockets = WebSocketRoute("/ws/{topic}", partial(serve_topics, topics))
+        files = [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
         self._routed = Starlette(
-            routes=[Route("/", _page), *routes(self), WebSocketRoute("/ws/{topic}", self.hub.serve), *_static()],
+            routes=[Route("/", _page), *routes(self), sockets, *files],
             lifespan=self._lifespan,
-            exception_handlers={Exception: _bug, 404: _nothing},
+            exception_handlers={
+                404: lambda request, error: error_response(404, "There is nothing at this address."),
+                Exception: lambda request, error: error_response(
+                    500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
+                ),
+            },
         )
         self.app = Guard(self._routed, self.token)
 
@@ -111,7 +115,6 @@ class Studio:
                 for i in catalog.items("recording")
             ],
             "results": found,
-            "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
             "skeletons": [
@@ -137,18 +140,13 @@ class Studio:
         await self.cameras.stop()
         await self.jobs.close()
         await run_in_threadpool(self.gestures.close)
-        self.recordings.drop()
+        self.recordings.close()
 
 
 def _warm() -> None:
     """Compile the kernels that a result needs, before a page waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
-
-
-def _static() -> list[BaseRoute]:
-    """Return the route of the page's files; none where the page was not built."""
-    return [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
 
 
 async def _page(request: Request) -> Response:
@@ -161,18 +159,6 @@ NOT_BUILT = (
     "The studio's page is not part of this installation: it could not be built when hypose was installed. Install "
     "hypose from a wheel, or build the page with `python hatch_build.py` in the sources (it needs the network once)."
 )
-
-
-async def _bug(request: Request, error: Exception) -> Response:
-    """Answer a request in which the server failed; the traceback is in its log."""
-    return error_response(
-        500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
-    )
-
-
-async def _nothing(request: Request, error: Exception) -> Response:
-    """Answer a request for an unknown address."""
-    return error_response(404, "There is nothing at this address.")
 
 
 def make_server(studio: Studio) -> uvicorn.Server:
@@ -208,18 +194,13 @@ def open_port(host: str, port: int) -> socket.socket:
     port: 0: any free one.
     Raises: InputError where the port cannot be used.
     """
-    opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        opened.bind((host, port))
-        opened.listen()
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except (OSError, OverflowError) as error:
-        opened.close()
         raise InputError(
             f"Port {port} on {host} cannot be used ({listen_error(error)}); choose another with --port, 0 takes any "
             "free one."
         ) from None
-    return opened
 
 
 def run_server(root: Path, host: str, port: int, token: str | None, ready: Callable[[str], None]) -> None:
@@ -254,89 +235,66 @@ _Body = dict[str, Any]
 
 def routes(studio: Studio) -> list[Route]:
     """Build all routes of a studio."""
-    catalog = studio.catalog
-
-    def item_of(kind: Kind, request: Request) -> Item:
-        return catalog.find(kind, request.path_params["id"])
-
     return [
         route("/api/state", lambda request: studio.state()),
-        *_of_jobs(studio),
-        *_of_recordings(studio, item_of),
-        *_of_results(studio, item_of),
-        route(
-            "/api/models/{id}/thumbnail.jpg", lambda r: jpeg_answer(gesture_thumbnail(item_of("model", r).path), 600)
-        ),
-        *_of_clicks(studio, item_of),
+        *_of_jobs(studio.jobs, studio.results),
+        *_of_recordings(studio),
+        *_of_results(studio),
+        *_of_clicks(studio),
     ]
 
 
-ItemOf = Callable[[Kind, Request], Item]
+def _of(
+    catalog: Catalog, kind: Kind, path: str, call: Callable[..., Any], method: str = "GET", status: int = 200
+) -> Route:
+    """Make the route of an item, /api/KINDs/ID and then `path`; call gets the item first, then as for `route`."""
+
+    def found(request: Request, *body: _Body) -> Any:
+        return call(catalog.find(kind, request.path_params["id"]), request, *body)
+
+    return route(f"/api/{kind}s/{{id}}{path}", found, method, status)
 
 
-def _of_jobs(studio: Studio) -> list[Route]:
+def _of_jobs(jobs: Jobs, results: Results) -> list[Route]:
     """Build the routes that list, start, stop, resume and show jobs."""
-    jobs = studio.jobs
-
-    async def start(request: Request, body: _Body) -> Any:
-        return (await jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body)).shown()
-
-    async def cancel(request: Request, _: _Body) -> Any:
-        return jobs.cancel(request.path_params["id"]).shown()
-
-    async def resume(request: Request, _: _Body) -> Any:
-        return jobs.resume(request.path_params["id"]).shown()
 
     def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
-        return block_answer(studio.results.so_far(job.plan, job.began))
+        return block_answer(results.so_far(job.plan, job.began))
 
     return [
         route("/api/jobs", lambda request: [j.shown() for j in jobs.every()]),
-        route("/api/jobs", start, "POST", 201),
+        route("/api/jobs", lambda request, body: jobs.start(body.get("kind"), body), "POST", 201),
         route("/api/job-forms", lambda request: forms()),
         route("/api/jobs/{id}", lambda request: jobs.find(request.path_params["id"]).shown()),
-        route("/api/jobs/{id}/cancel", cancel, "POST"),
-        route("/api/jobs/{id}/resume", resume, "POST", 201),
+        route("/api/jobs/{id}/cancel", lambda request, _: jobs.cancel(request.path_params["id"]), "POST"),
+        route("/api/jobs/{id}/resume", lambda request, _: jobs.resume(request.path_params["id"]), "POST", 201),
         route("/api/jobs/{id}/view", view),
     ]
 
 
-def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of recordings and folders.
-
-    item_of: finds the item of a kind that a request's address names.
-    """
+def _of_recordings(studio: Studio) -> list[Route]:
+    """Build the routes of recordings and folders."""
     catalog, recordings = studio.catalog, studio.recordings
 
-    def one(request: Request) -> Any:
-        item = item_of("recording", request)
+    def one(item: Item, _: Request) -> Any:
         mine = [r.id for r in catalog.items("result") if catalog.recording_of(r.path) == item.path]
         return recordings.shown(item, mine)
 
-    def picture(request: Request) -> Response:
-        query = {k: v for k, v in request.query_params.items() if k != "token"}
-        frame, width = request.path_params["frame"], digits(query.pop("width", "640"), "The width")
-        mask = request_choice(query.pop("mask", "none"), "way to show a mask", _MASKS)
-        item = item_of("recording", request)
-        return jpeg_answer(recordings.picture(item, request.path_params["camera"], frame, width, mask, query), 60)
+    def picture(item: Item, request: Request) -> Response:
+        query, wanted = request.query_params, request.path_params
+        width = digits(query.get("width", "640"), "The width")
+        mask = request_choice(query.get("mask", "none"), "way to show a mask", _MASKS)
+        data = recordings.picture(item, wanted["camera"], wanted["frame"], width, mask, query.get("settings"))
+        return jpeg_answer(data, 60)
 
-    def file(request: Request) -> Response:
-        folder = item_of("recording", request).path / "results"
-        return _file(folder, request.path_params["name"], _RECORDING_FILES, catalog)
-
-    def settings(request: Request, body: _Body) -> Any:
-        return recordings.save_settings(item_of("recording", request), body)
-
-    def edited(request: Request, body: _Body) -> Any:
-        item = item_of("recording", request)
-        try:
+    def edited(item: Item, request: Request, body: _Body) -> Any:
+        recording = None
+        with contextlib.suppress(HyposeError):
             recording = recordings.load(item)
-        except HyposeError:
-            recording = None
         edit_recording(item.path, recording, body, catalog)
         tick_findings(item.path, body.get("findings", []))
-        return one(request)
+        return one(item, request)
 
     def folder(request: Request) -> Any:
         query = request.query_params
@@ -344,9 +302,6 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
             return list_folder(catalog, catalog.find("recording", query["recording"]).path, True)
         where = catalog.inside(query.get("path", ""))
         return list_folder(catalog, where, "within" in query and not is_recording(where))
-
-    def first(request: Request) -> Response:
-        return jpeg_answer(first_picture(catalog, request.query_params.get("path", "")), 60)
 
     def make(request: Request, body: _Body) -> Any:
         made = make_recording(catalog, body)
@@ -358,36 +313,46 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         sheet = printed_board(request.query_params.get("paper", "a4"))
         return Response(sheet, media_type="application/pdf", headers=headers)
 
+    def file(item: Item, request: Request) -> Response:
+        return _file(item.path / "results", request.path_params["name"], _RECORDING_FILES, catalog)
+
     return [
         route("/api/board.pdf", board),
         route("/api/folder", folder),
-        route("/api/folder/picture.jpg", first),
+        route(
+            "/api/folder/picture.jpg",
+            lambda request: jpeg_answer(first_picture(catalog, request.query_params.get("path", "")), 60),
+        ),
         route("/api/recordings", make, "POST", 201),
-        route("/api/recordings/{id}", one),
-        route("/api/recordings/{id}/repair", edited, "POST"),
-        route("/api/recordings/{id}/image/{camera}/{frame:int}.jpg", picture),
-        route("/api/recordings/{id}/file/{name:path}", file),
-        route("/api/recordings/{id}/mask-settings", settings, "POST"),
+        _of(catalog, "recording", "", one),
+        _of(catalog, "recording", "/repair", edited, "POST"),
+        _of(catalog, "recording", "/image/{camera}/{frame:int}.jpg", picture),
+        _of(catalog, "recording", "/file/{name:path}", file),
+        _of(
+            catalog,
+            "recording",
+            "/mask-settings",
+            lambda item, _, body: recordings.save_settings(item, body),
+            "POST",
+        ),
     ]
 
 
-def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of results; item_of as in `_of_recordings`."""
+def _of_results(studio: Studio) -> list[Route]:
+    """Build the routes of results and gesture models."""
     catalog, results = studio.catalog, studio.results
 
-    def pictures(request: Request) -> Response:
+    def pictures(item: Item, request: Request) -> Response:
         width = digits(request.query_params.get("width", "640"), "The width")
-        with results.pictures(item_of("result", request)) as opened:
-            data = opened.row(request.path_params["row"], width)
+        data = results.pictures(item).row(request.path_params["row"], width)
         # a row of a result does not change while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
-    def outlines(request: Request) -> Any:
-        with results.pictures(item_of("result", request)) as opened:
-            return {"views": opened.outlines(request.path_params["row"])}
+    def outlines(item: Item, request: Request) -> Any:
+        return {"views": results.pictures(item).outlines(request.path_params["row"])}
 
-    def opensim(request: Request) -> Response:
-        item, packed = item_of("result", request), io.BytesIO()
+    def opensim(item: Item, _: Request) -> Response:
+        packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name in OPENSIM_FILES:
                 if (path := item.path / name).is_file() and catalog.contains(path):
@@ -395,14 +360,13 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         headers = {"Content-Disposition": 'attachment; filename="opensim.zip"'}
         return Response(packed.getvalue(), media_type="application/zip", headers=headers)
 
-    def delete(request: Request) -> Any:
-        item = item_of("result", request)
+    def delete(item: Item, _: Request) -> Any:
         inside = [i for i in catalog.items() if i.path != item.path and i.path.is_relative_to(item.path)]
         if inside or item.path == catalog.root:
             raise InputError(f"{item.path.name} is served itself, or others lie in it; delete it from outside.")
         if studio.jobs.needs(item.id):
             raise NotNow(f"A job is at work on {item.path.name}; stop it first.")
-        studio.recordings.drop()  # some systems cannot delete open files
+        studio.recordings.close()  # some systems cannot delete open files
         try:
             shutil.rmtree(item.path)  # links in it are removed, not followed
         except OSError as error:
@@ -412,44 +376,42 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
         catalog.items("result", fresh=True)
         return {"name": item.path.name}
 
-    def small(request: Request) -> Response:
-        return jpeg_answer(results.thumbnail(item_of("result", request)), 600)
-
-    def file(request: Request) -> Response:
-        return _file(item_of("result", request).path, request.path_params["name"], DESCRIPTIONS, catalog)
+    def file(item: Item, request: Request) -> Response:
+        return _file(item.path, request.path_params["name"], DESCRIPTIONS, catalog)
 
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
-        route("/api/results/{id}", delete, "DELETE"),
-        route("/api/results/{id}/view", lambda r: block_answer(results.block(item_of("result", r)))),
-        route("/api/results/{id}/pictures/{row:int}", pictures),
-        route("/api/results/{id}/outlines/{row:int}", outlines),
-        route("/api/results/{id}/thumbnail.jpg", small),
-        route("/api/results/{id}/files/{name}", file),
-        route("/api/results/{id}/opensim.zip", opensim),
-        route("/api/results/{id}/gait", lambda r: results.gait(item_of("result", r))),
+        _of(catalog, "result", "", delete, "DELETE"),
+        _of(catalog, "result", "/view", lambda item, _: block_answer(results.block(item))),
+        _of(catalog, "result", "/pictures/{row:int}", pictures),
+        _of(catalog, "result", "/outlines/{row:int}", outlines),
+        _of(catalog, "result", "/thumbnail.jpg", lambda item, _: jpeg_answer(results.thumbnail(item), 600)),
+        _of(catalog, "result", "/files/{name}", file),
+        _of(catalog, "result", "/opensim.zip", opensim),
+        _of(catalog, "result", "/gait", lambda item, _: results.gait(item)),
+        _of(catalog, "model", "/thumbnail.jpg", lambda item, _: jpeg_answer(gesture_thumbnail(item.path), 600)),
     ]
 
 
-def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
-    """Build the routes of clicked joints; item_of as in `_of_recordings`."""
+def _of_clicks(studio: Studio) -> list[Route]:
+    """Build the routes of clicked joints."""
     catalog, recordings = studio.catalog, studio.recordings
 
     def body(request: Request) -> Response:
         return block_answer(clicks.body_block(dict(request.query_params), catalog, recordings))
 
-    def save(request: Request, body: _Body) -> Any:
-        return clicks.save(body, item_of("recording", request), catalog, recordings)
+    def save(item: Item, _: Request, body: _Body) -> Any:
+        return clicks.save(body, item, catalog, recordings)
 
-    def one(request: Request) -> Any:
-        return clicks.read_clicks(item_of("recording", request), request.path_params["name"])
+    def one(item: Item, request: Request) -> Any:
+        return clicks.read_clicks(item, request.path_params["name"])
 
     return [
         route("/api/click-joints", lambda _: [{"joint": k, "title": v} for k, v in clicks.CLICK_JOINTS.items()]),
         route("/api/click-body", body),
         route("/api/fit-clicks", lambda request, body: clicks.fit_clicks(body, catalog, recordings), "POST"),
-        route("/api/recordings/{id}/starts", save, "POST", 201),
-        route("/api/recordings/{id}/starts/{name}", one),
+        _of(catalog, "recording", "/starts", save, "POST", 201),
+        _of(catalog, "recording", "/starts/{name}", one),
     ]
 
 

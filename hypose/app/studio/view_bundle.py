@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,10 +27,10 @@ from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError, visible
+from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import MOTION_FORMATS
-from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
+from hypose.io.motions.results import ResultsFolder, json_values, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
@@ -41,10 +40,14 @@ MAGIC = b"HYPOSEV1"
 _LOST, _EXTRAPOLATED, _LOW_CONFIDENCE = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
+_ANKLE_M = 0.08
+"""Usual height of the ankle above the sole, m."""
 _AT_ONCE = 1 << 11
 """Frames that are converted at a time."""
 _THREADS = 2
 """Threads that convert frames."""
+_NEEDED = {"pelvis", "chest", "head", "left_shoulder", "left_elbow", "left_hip", "left_knee", "left_ankle"}
+"""Joints for which anatomical angles are defined."""
 
 
 @dataclass(frozen=True)
@@ -154,14 +157,14 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     out = turns | {
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
-        "joint_covariance": _upper(m.joint_covariance),
+        "joint_covariance": m.joint_covariance[..., *np.triu_indices(3)].astype("<f4", copy=False),
         "flags": np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1"),
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
         if "angles" in out and m.angle_sd is not None:
-            out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
+            out["angle_sd"] = _in_degrees(m.angle_sd.T)
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
@@ -175,8 +178,8 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
-        truth = {"truth_joints": result.truth.joints, "truth_distances": result.truth.distances}
-        out |= {name: values.astype("<f4") for name, values in truth.items() if values is not None}
+        out["truth_joints"] = result.truth.joints.astype("<f4")
+        out["truth_distances"] = result.truth.distances.astype("<f4")
     return out
 
 
@@ -186,7 +189,7 @@ def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
     """
     known = np.flatnonzero(np.isfinite(poses).all(1))
     rotations = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
-    read = turns_reader(skeleton) if angles_known(skeleton) else None
+    read = turns_reader(skeleton) if _NEEDED <= set(skeleton.joint_names) else None
     turns = np.empty((TURNS if read else 0, len(known)))
 
     def fill(at: int) -> None:
@@ -202,29 +205,14 @@ def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
         return {"rotations": rotations}
     angles = np.full((len(ANGLE_NAMES), len(poses)), np.nan, "<f4")
     if len(known):
-        angles[:, known] = _in_degrees(ANGLE_NAMES, angles_in_time(turns))
+        angles[:, known] = _in_degrees(angles_in_time(turns))
     return {"rotations": rotations, "angles": angles}
 
 
-def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
-    """Pack symmetric matrices (..., 3, 3) as xx xy xz yy yz zz (..., 6) float32."""
-    out = np.empty((*matrices.shape[:-2], 6), "<f4")
-    for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
-        out[..., k] = matrices[..., i, j]
-    return out
-
-
-def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np.ndarray:
-    """Convert angles to degrees; lengths stay in metres.
-
-    names: (A,) names of the angles, as in ANGLE_NAMES.
-    values: (A, T) rad or m.
-    Returns: (A, T) float32.
-    """
-    out = np.empty(values.shape, "<f4")
-    for n, (name, value) in enumerate(zip(names, values, strict=True)):
-        out[n] = value if is_length(name) else np.degrees(value)
-    return out
+def _in_degrees(values: Array | NDArray[np.float32]) -> np.ndarray:
+    """Convert angles (A, T), in the order of ANGLE_NAMES, from rad to degrees, float32; lengths stay in metres."""
+    lengths = np.array([is_length(name) for name in ANGLE_NAMES])
+    return np.where(lengths[:, None], values, np.degrees(values)).astype("<f4")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
@@ -238,15 +226,9 @@ def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
     }
 
 
-def angles_known(skeleton: Skeleton) -> bool:
-    """Return whether a skeleton has the joints for which anatomical angles are defined."""
-    needed = {"pelvis", "chest", "head", "left_shoulder", "left_elbow", "left_hip", "left_knee", "left_ankle"}
-    return needed <= set(skeleton.joint_names)
-
-
 def _header(result: ViewResult) -> dict[str, Any]:
-    m, s = result.motion, result.motion.skeleton
-    truth = result.truth
+    m, s, truth, recording = result.motion, result.motion.skeleton, result.truth, result.recording
+    seen = () if recording is None else zip(recording.views, recording.rig, strict=True)
     return {
         "version": __version__,
         "title": result.title,
@@ -258,10 +240,22 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "summary": asdict(summarize(m)),
         "joint_names": list(s.joint_names),
         "parents": s.parents,
-        "floor": _floor(m, result.body),
+        "floor": _floor(m),
         "formats": list(MOTION_FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
-        "cameras": _cameras(result),
+        "cameras": [
+            {
+                "name": c.name,
+                "K": c.K,
+                "distortion": c.distortion,
+                "fisheye": c.fisheye,
+                "camera_from_world": c.camera_from_world,
+                "size": list(c.size),
+                "image_shift": list(v.image_shift),
+                "pictures": v.has_pictures,
+            }
+            for v, c in seen
+        ],
         "subject": subject_rows(result.body) if result.body is not None else [],
         "files": [{"name": n, "what": w, "bytes": b} for n, w, b in result.files],
         "notes": list(result.notes),
@@ -271,7 +265,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "truth": truth
         and {
             "names": list(truth.names),
-            "parents": list(truth.parents),
+            "parents": s.parents,
             "mean_mm": truth.mean_mm,
             "note": truth.note,
         },
@@ -279,54 +273,16 @@ def _header(result: ViewResult) -> dict[str, Any]:
     }
 
 
-def _cameras(result: ViewResult) -> list[dict[str, Any]]:
-    """Describe the cameras for the header; empty where they are not known."""
-    if result.recording is None:
-        return []
-    return [
-        {
-            "name": c.name,
-            "K": c.K,
-            "distortion": c.distortion,
-            "fisheye": c.fisheye,
-            "camera_from_world": c.camera_from_world,
-            "size": list(c.size),
-            "image_shift": list(v.image_shift),
-            "pictures": v.has_pictures,
-        }
-        for v, c in zip(result.recording.views, result.recording.rig, strict=True)
-    ]
-
-
-def _floor(motion: Motion, body: Body | None) -> float:
+def _floor(motion: Motion) -> float:
     """Estimate the height of the floor, m, world: 0, unless the feet are clearly elsewhere.
 
     motion: its feet are at their lowest twentieth on the floor.
-    body: gives the height of the ankle above the sole; None: 8 cm.
     """
     feet = [j for j, n in enumerate(motion.skeleton.joint_names) if n.endswith(("ankle", "foot"))]
     low = motion.joints[:, feet, 2]
     low = low[np.isfinite(low)]
-    if not len(low):
-        return 0.0
-    ankle = 0.08
-    if body is not None:
-        ankle = float(body.skeleton.rest_joints[feet, 2].min() - body.fine.vertices[:, 2].min())
-    standing = float(np.percentile(low, 5)) - ankle
+    standing = float(np.percentile(low, 5)) - _ANKLE_M if len(low) else 0.0
     return 0.0 if abs(standing) < 0.25 else standing
-
-
-def json_values(value: Any) -> Any:
-    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
-    if isinstance(value, np.ndarray | np.generic):
-        return json_values(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {visible(str(k)): json_values(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_values(v) for v in value]
-    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 # ---- view result ---------------------------------------------------------------------------------------------------
@@ -359,10 +315,10 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
             notes.append(f"{what}: {error}")
             return None
 
-    body = part("The body is not shown", lambda: _body(folder, motion))
+    body = part("The body is not shown", lambda: body_of(folder, motion))
     if recording is None:
         recording = part("The recording cannot be shown", lambda: find_recording(folder.path))
-    first, truth = first_frame(motion), None
+    first, truth, how = first_frame(motion), None, motion.provenance.get("settings")
     if recording is not None:
         notes += recording.notes
         known = recording.folder / "truth.npz"
@@ -376,7 +332,9 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
-        citation=_citation(motion),
+        citation=citation_of(
+            str(motion.provenance.get("recipe")), isinstance(how, Mapping) and bool(how.get("refine"))
+        ),
         truth=truth,
         complete=not folder.checkpoint.exists(),
         rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
@@ -399,14 +357,7 @@ def find_recording(results: Path) -> Recording | None:
     return None if folder is None else load_recording(folder)
 
 
-def _citation(motion: Motion) -> str:
-    """Return the source of a motion's method; "" where it is not known."""
-    settings = motion.provenance.get("settings")
-    refined = isinstance(settings, Mapping) and bool(settings.get("refine"))
-    return citation_of(str(motion.provenance.get("recipe")), refined)
-
-
-def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
+def body_of(folder: ResultsFolder, motion: Motion) -> Body | None:
     """Load the body of a result.
 
     folder: folder of the result.

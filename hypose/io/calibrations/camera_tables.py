@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError
+from hypose.errors import CalibrationError, refuse
 from hypose.geometry import Array, se3, se3_inverse, so3_exp
 
 # ---- cameras from numbers ------------------------------------------------------------------------------------------
@@ -223,8 +223,7 @@ def _checked(
         f"{n} distortion coefficients; OpenCV's model has {', '.join(map(str, allowed[3:]))} of them, so write them in "
         "OpenCV's order (k1 k2 p1 p2 k3 ...)": n not in allowed,
     }
-    if found := [fault for fault, there in faults.items() if there]:
-        raise CalibrationError(f"{where}: {found[0]}.")
+    refuse(f"{where}: ", faults, CalibrationError)
     distortion = np.concatenate([distortion, np.zeros(max(4 - len(distortion), 0))])
     # Files have few digits: use the nearest exact rotation, so that inverses and products stay exact.
     u, _, vt = np.linalg.svd(rotation)
@@ -347,14 +346,14 @@ def tables_of(document: Any, name: str) -> dict[str, Table]:
 
 
 def strange_keys(document: Any, tables: Mapping[str, Table]) -> list[str]:
-    """List the keys of a document, next to its cameras, whose plain values are not understood.
+    """List the keys of cameras, and keys of a document next to its cameras with plain values, that are not understood.
 
     tables: tables of the cameras, as `tables_of` finds them.
     """
-    if not isinstance(document, Mapping) or any(table is document for table in tables.values()):
-        return []
-    plain = (k for k, v in document.items() if isinstance(v, str | int | float) and k not in _UNDERSTOOD)
-    return sorted(str(k) for k in plain)
+    keys = {k for table in tables.values() for k in table}
+    if isinstance(document, Mapping):
+        keys |= {k for k, v in document.items() if isinstance(v, str | int | float)}
+    return sorted(str(k) for k in keys if k not in _UNDERSTOOD)
 
 
 def _own_name(table: Table) -> str:
@@ -419,9 +418,6 @@ def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
         where = rig.where(name)
         k = _matrix(where, table)
         rig.add(name, k, _lens(where, table), pose[:3, :3], pose[:3, 3], _size(where, table), _fisheye(where, table))
-    strange = sorted({k for t in tables.values() for k in t if k not in _UNDERSTOOD})
-    if strange:
-        rig.notes.append(f"{rig.path.name}: {', '.join(strange[:6])} of the cameras is not understood and passed over.")
 
 
 def _pose(where: str, table: Table) -> Array | None:

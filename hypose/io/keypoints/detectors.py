@@ -236,17 +236,14 @@ class OwnDetector:
         count = len(keypoint_names(self.keypoint_set))
         try:
             people = np.array(self.detector.detect(image), dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError):  # no array of numbers
             people = np.zeros(1)
-            wrong = "something that is no array of numbers"
-        else:
-            wrong = f"the shape {people.shape}"
         if people.size == 0 and people.ndim:
             return []
         if people.ndim != 3 or people.shape[1:] != (count, 3):
             raise InputError(
-                f"The detector {self.where} answers with {wrong}; its set {self.keypoint_set} needs people x {count} x "
-                "3 (px, px, score)."
+                f"The detector {self.where} answers with numbers of shape {people.shape}, or no array of numbers; its "
+                f"set {self.keypoint_set} needs people x {count} x 3 (px, px, score)."
             )
         finite = np.isfinite(people).all(-1, keepdims=True)
         return [Sighting(p) for p in np.where(finite, np.maximum(people, [-np.inf, -np.inf, 0]), 0.0)]
@@ -262,17 +259,17 @@ def open_own_detector(text: str) -> PoseDetector:
     place, colon, name = text.rpartition(":")
     if not colon or not place or not name.isidentifier():
         raise InputError(f"--detector {text} is not understood; write FILE.py:NAME or MODULE:NAME.")
-    module = _module(place)
-    found = getattr(module, name, None)
-    if found is None:
-        raise InputError(f"{place} has no {name}; it needs {_EXAMPLE}.")
     try:
+        found = getattr(_module(place), name, None)
         detector = found() if callable(found) and not hasattr(found, "detect") or isinstance(found, type) else found
         kind = getattr(detector, "keypoint_set", None)
         identity = getattr(detector, "identity", {"detector": text})
+    except InputError:
+        raise
     except Exception as error:  # the user's own code may fail in any way
         raise InputError(
-            f"The detector {text} cannot be made ({type(error).__name__}: {error}); correct it."
+            f"The detector {text} cannot be made ({type(error).__name__}: {error}); correct it, or install what it "
+            "needs."
         ) from error
     if not callable(getattr(detector, "detect", None)) or not isinstance(kind, str):
         raise InputError(f"{text} is no detector; it needs {_EXAMPLE}.")
@@ -283,22 +280,14 @@ def open_own_detector(text: str) -> PoseDetector:
 
 
 def _module(place: str) -> Any:
-    try:
-        if place.endswith(".py"):
-            path = Path(place)
-            if not path.is_file():
-                raise InputError(f"--detector: {path} does not exist; write FILE.py:NAME or MODULE:NAME.")
-            spec = importlib.util.spec_from_file_location(f"detector_{path.stem}", path)
-            assert spec is not None and spec.loader is not None
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module  # dataclasses and pickles look there
-            spec.loader.exec_module(module)
-            return module
+    if not place.endswith(".py"):
         return importlib.import_module(place)
-    except InputError:
-        raise
-    except Exception as error:  # the user's own code may fail in any way
-        raise InputError(
-            f"The detector's {place} cannot be loaded ({type(error).__name__}: {error}); correct it, or install what "
-            "it needs."
-        ) from error
+    path = Path(place)
+    if not path.is_file():
+        raise InputError(f"--detector: {path} does not exist; write FILE.py:NAME or MODULE:NAME.")
+    spec = importlib.util.spec_from_file_location(f"detector_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses and pickles look there
+    spec.loader.exec_module(module)
+    return module

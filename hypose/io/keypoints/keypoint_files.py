@@ -20,17 +20,26 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hypose.errors import InputError, extra
+from hypose.errors import InputError, extra, refuse
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_plain_pickle
-from hypose.io.file_names import last_number
-from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
+from hypose.io.files import (
+    csv_rows,
+    last_number,
+    numbers_of,
+    open_file,
+    read_bytes,
+    read_json,
+    read_text,
+    readable_size,
+)
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
 from hypose.json_text import parse_json
@@ -99,13 +108,19 @@ def checked_people(values: Any, where: str) -> Array:
     Raises: InputError where the values are not key points.
     """
     with numbers_of(where):
+        if len(counts := {len(points) for points in values}) > 1:
+            said = ", ".join(map(str, sorted(counts)))
+            raise InputError(f"{where}: people have {said} key points; export those of one model.")
         p = np.array(values, dtype=np.float64)
     if p.size == 0:
         return np.zeros((0, 0, 3))
-    if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
-        raise InputError(f"{where}: key points have the shape {p.shape}, people x points x 3 is needed; export again.")
-    if np.isinf(p).any():
-        raise InputError(f"{where}: a key point is infinite; export it again.")
+    faults = {
+        f"key points have the shape {p.shape}, people x points x 3 is needed; export again": (
+            p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS
+        ),
+        "a key point is infinite; export it again": np.isinf(p).any(),
+    }
+    refuse(f"{where}: ", faults)
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
 
@@ -117,35 +132,14 @@ def parse_openpose(document: str | bytes | Mapping[str, Any], source: str = "The
     Returns: (P, K, 3) u px, v px, score. A point at (0, 0), or without finite position and score, is missing: 0.
     Raises: InputError where it is no such document.
     """
-    if isinstance(document, (str, bytes)):
-        try:
-            document = parse_json(document)
-        except (ValueError, RecursionError) as problem:
-            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
-    found = document.get("people") if isinstance(document, Mapping) else None
-    found = [] if found == {} else found  # some writers write an empty list so
-    if not isinstance(found, list):
-        raise InputError(
-            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the OpenPose '
-            "format."
-        )
-    people = []
-    for number, person in enumerate(found):
-        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
-        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
-        if flat is None and person != {}:
-            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
-        try:
-            values = np.array([] if flat is None else flat, dtype=np.float64).reshape(-1, 3)
-        except (TypeError, ValueError):
-            raise InputError(
-                f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only, three for each point; export '
-                "it again."
-            ) from None
-        people += [values] if len(values) else []
-    if len({len(p) for p in people}) > 1:
-        raise InputError(f"{source}: the people have different numbers of key points.")
-    return checked_people(people, source)
+    with numbers_of(source):
+        found = (parse_json(document) if isinstance(document, (str, bytes)) else document)["people"]
+        people = dict(enumerate(found)) if isinstance(found, list) else dict(found)  # some write an empty list as {}
+    for number, person in people.items():
+        with numbers_of(f"{source}, person {number}"):
+            key = "pose_keypoints" if "pose_keypoints" in person else "pose_keypoints_2d"  # the former: OpenPose 1.0
+            people[number] = np.array(person[key] if person else [], dtype=np.float64).reshape(-1, 3)
+    return checked_people([p for p in people.values() if len(p)], source)
 
 
 def scores_from_variance(points: Array, variance: Array) -> Array:
@@ -169,54 +163,41 @@ def scores_from_variance(points: Array, variance: Array) -> Array:
     return out
 
 
-def scored_points(positions: Any, scores: Any, where: str) -> Array:
-    """Combine the positions and scores of one person's key points.
+def scored_points(positions: Any, scores: Any = None) -> Array:
+    """Combine positions and scores of key points.
 
-    positions: (K, 2 to 4); u and v are the first two columns.
-    scores: (K,); None: all are 1.
-    where: file and frame, for the error messages.
-    Returns: (K, 3) u, v, score.
-    Raises: InputError where they are not numbers of this shape.
+    positions: (..., K, 2 or more); u and v are the first two columns.
+    scores: (..., K) in any shape; None: all are 1.
+    Returns: (..., K, 3) u, v, score.
+    Raises: ValueError where they are not numbers of these shapes.
     """
-    with numbers_of(where):
-        xy = np.array(positions, dtype=np.float64)
-        s = np.ones(len(xy)) if scores is None else np.array(scores, dtype=np.float64).ravel()
-    if xy.ndim != 2 or not 2 <= xy.shape[1] <= 4 or not 1 <= len(xy) <= MAX_POINTS:
-        raise InputError(f"{where}: key points have the shape {xy.shape}, points x 2 is needed; export them again.")
-    if len(s) != len(xy):
-        raise InputError(f"{where}: {len(xy)} key points but {len(s)} scores; export them again.")
-    return np.column_stack([xy[:, :2], s])
+    uv = np.array(positions, dtype=np.float64)[..., :2]
+    given = np.ones(uv.shape[:-1]) if scores is None else np.array(scores, dtype=np.float64).reshape(uv.shape[:-1])
+    return np.concatenate([uv, given[..., None]], axis=-1)
 
 
-def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
-    """Group people (K, 3) by frame number.
+def grouped(numbers: Iterable[Any], points: Any, where: str, frames: Iterable[int] = ()) -> dict[int, Array]:
+    """Group the key points of people by frame number.
 
-    rows: frame number and points of each person, in any order.
+    numbers: frame number of each person, in any order.
+    points: (N, K, 3) u, v, score of each person; people without any point are left out.
     where: file, for the error messages.
+    frames: numbers of further frames, which may show no person.
     Returns: (P, K, 3) by frame number.
-    Raises: InputError where people differ in the number of points.
+    Raises: InputError where they are not key points, people differ in their number, or a frame number is not whole.
     """
-    counts = {len(points) for _, points in rows}
-    if len(counts) > 1:
-        raise InputError(
-            f"{where}: people have {', '.join(map(str, sorted(counts)))} key points; export those of one model."
-        )
-    stacked = checked_people([points for _, points in rows], where)
-    out: dict[int, list[Array]] = {}
-    for (number, _), points in zip(rows, stacked, strict=True):
-        out.setdefault(number, []).append(points)
-    return {n: np.stack(p) for n, p in out.items()}
+    out: dict[int, list[Array]] = {n: [] for n in frames}
+    for number, person in zip(numbers, checked_people(points, where), strict=True):
+        of_frame = out.setdefault(whole_number(number), [])
+        if person[:, 2].any():
+            of_frame.append(person)
+    return {n: np.stack(people) if people else np.zeros((0, 0, 3)) for n, people in out.items()}
 
 
-def whole_number(value: Any, where: str, what: str) -> int:
-    """Check that a value is a frame number and return it.
-
-    where, what: file and name of the value, for the error message.
-    Raises: InputError where it is not a whole number.
-    """
-    fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
-    if not fine or not 0 <= value < 2**40:
-        raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
+def whole_number(value: Any) -> int:
+    """Check that a value is a frame number and return it; ValueError where it is not a whole number."""
+    if isinstance(value, bool) or int(value) != value or not 0 <= value < 2**40:
+        raise ValueError(f"{str(value)[:40]!r} is not the whole number of a frame or point")
     return int(value)
 
 
@@ -238,44 +219,32 @@ def deeplabcut_table(
     parts: dict[str, dict[str, dict[str, int]]] = {}
     for i, (individual, part, coordinate) in enumerate(columns):
         parts.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
-    for part, at in ((part, at) for own in parts.values() for part, at in own.items()):
-        if not {"x", "y", "likelihood"} <= at.keys():
-            raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
-    if not parts or not 0 < len(numbers) <= MAX_POINT_FRAMES:
-        raise InputError(f"{where} has {len(parts)} individuals and {len(numbers)} frames; analyse the video again.")
     names = tuple(max(parts.values(), key=len))
     people = [own for own in parts.values() if own.keys() == set(names)]  # not the single points
     found = [set(at) for own in parts.values() for at in own.values()]
     variances = next((v for v in _VARIANCES if all(set(v) <= at for at in found)), ())
     wanted = ("x", "y", "likelihood", *variances)
-    whole = values[:, np.array([[[own[n][c] for c in wanted] for n in names] for own in people])]  # (T, P, K, 3 or 5)
+    with numbers_of(f"{where}: a body part"):
+        chosen = np.array([[[own[n][c] for c in wanted] for n in names] for own in people])
+    whole = values[:, chosen].reshape(-1, *chosen.shape[1:])  # (T times people, K, 3 or 5)
     points = scores_from_variance(whole[..., :3], whole[..., 3:]) if variances else whole
-    return KeypointTable(
-        "DeepLabCut", _people_of_frames(numbers, points, where), min(numbers), names, spread=bool(variances)
-    )
-
-
-def _people_of_frames(numbers: Iterable[int], points: Array, where: str) -> dict[int, Array]:
-    """Check the key points (T, P, K, 3) of numbered frames; people without any detected point are left out."""
-    checked = {n: checked_people(row, f"{where}, frame {n}") for n, row in zip(numbers, points, strict=True)}
-    return {n: people[(people[..., 2] > 0).any(1)] if people.size else people for n, people in checked.items()}
+    by_frame = grouped(np.repeat(numbers, len(people)).tolist(), points, where)
+    return KeypointTable("DeepLabCut", by_frame, min(by_frame), names, spread=bool(variances))
 
 
 def _deeplabcut(source: Source) -> KeypointTable:
     first, rows = csv_rows(source.path, source.kind, MAX_BYTES)
     head = {"individuals": [""] * (len(first) - 1)}
-    numbers: list[int] = []
     values: list[list[float]] = []
-    for _, row in rows:
+    for line, row in rows:
         if row[0] in ("individuals", "bodyparts", "coords"):
             head[row[0]] = row[1:]
             continue
-        at = f"{source.path}, frame {row[0][:20]}"
-        with numbers_of(at):
-            numbers.append(whole_number(float(row[0]), at, "the frame's number"))
-            values.append([float(c or "nan") for c in row[1:]])
+        with numbers_of(f"{source.path}, line {line}"):
+            values.append([float(c or "nan") for c in row])
     columns = list(zip(head["individuals"], head["bodyparts"], head["coords"], strict=True))
-    return deeplabcut_table(columns, numbers, np.array(values), str(source.path))
+    table = np.array(values)
+    return deeplabcut_table(columns, table[:, 0].tolist(), table[:, 1:], str(source.path))
 
 
 def _rows_of(path: Path, kind: str, columns: Sequence[str]) -> Array:
@@ -285,7 +254,7 @@ def _rows_of(path: Path, kind: str, columns: Sequence[str]) -> Array:
         at = [{name: i for i, name in enumerate(header)}[c] for c in columns]
     values: list[list[float]] = []
     for line, row in rows:
-        with numbers_of(f"{path}, row {line}"):
+        with numbers_of(f"{path}, line {line}"):
             values.append([float(row[i] or "nan") for i in at])
     return np.array(values).reshape(-1, len(at))
 
@@ -293,13 +262,12 @@ def _rows_of(path: Path, kind: str, columns: Sequence[str]) -> Array:
 def _sleap(source: Source) -> KeypointTable:
     names = [h[:-2] for h in source.header if h.endswith(".x") and not h.startswith("instance.")][:MAX_POINTS]
     scored = all(f"{n}.score" in source.header for n in names)
-    where, parts = str(source.path), ("x", "y", "score") if scored else ("x", "y")
+    parts = ("x", "y", "score") if scored else ("x", "y")
     values = _rows_of(source.path, source.kind, ["frame_idx", *(f"{n}.{c}" for n in names for c in parts)])
     points = values[:, 1:].reshape(len(values), len(names), len(parts))
-    points = points if scored else np.concatenate([points, np.ones((*points.shape[:2], 1))], -1)
-    found = [(whole_number(n, where, "frame_idx"), p) for n, p in zip(values[:, 0].tolist(), points, strict=True)]
+    found = grouped(values[:, 0].tolist(), points if scored else scored_points(points), str(source.path))
     # frames without a person have no row, and SLEAP counts from 0
-    return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
+    return KeypointTable("SLEAP analysis", found, 0, tuple(names), scored=scored)
 
 
 def _caliscope(source: Source) -> dict[str, KeypointTable]:
@@ -308,21 +276,17 @@ def _caliscope(source: Source) -> dict[str, KeypointTable]:
     values = _rows_of(path, source.kind, [camera, "sync_index", point, "img_loc_x", "img_loc_y"])
     if not len(values):
         raise InputError(f"{where} holds no points; run the tracker again.")
-    seen: dict[int, dict[int, dict[int, tuple[float, float]]]] = {}
+    seen: dict[int, dict[int, dict[int, tuple[float, float, float]]]] = {}
     for *numbers, x, y in values.tolist():
-        name, number, identity = (whole_number(n, where, "a number of camera, frame or point") for n in numbers)
-        seen.setdefault(name, {}).setdefault(number, {})[identity] = (x, y)
+        name, number, identity = map(whole_number, numbers)
+        seen.setdefault(name, {}).setdefault(number, {})[identity] = (x, y, 1.0)
     order = _point_order(path.stem.lower(), set(values[:, 2].astype(int).tolist()))
     numbers, rate = _clock(path)
     first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
     out = {}
     for name, frames in sorted(seen.items()):
-        listed = [
-            (n, np.array([(*points[i], 1.0) if i in points else (0, 0, 0) for i in order], dtype=np.float64))
-            for n, points in frames.items()
-        ]
+        people = grouped(frames, [[points.get(i, (0, 0, 0)) for i in order] for points in frames.values()], where)
         names = BLAZEPOSE_33 if len(order) == 33 else None
-        people = grouped(listed, where)
         out[str(name)] = KeypointTable("Caliscope points", people, first, names, scored=False, frame_rate=rate)
     return out
 
@@ -378,7 +342,7 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
         return [], None
     times: dict[int, list[float]] = {}
     for number, time in _rows_of(table, "Caliscope's table of times", ["sync_index", "frame_time"]).tolist():
-        times.setdefault(whole_number(number, str(table), "sync_index"), []).append(time)
+        times.setdefault(whole_number(number), []).append(time)
     numbers = sorted(times)
     if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
         raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
@@ -412,24 +376,25 @@ def _all_hold(source: Source, *keys: str) -> bool:
 
 
 def _mmpose(source: Source) -> KeypointTable:
-    document, where = source.document, str(source.path)
+    document = source.document
     frames, meta = (
         (document["instance_info"], document.get("meta_info")) if isinstance(document, dict) else (document, None)
     )
-    rows: list[tuple[int, Array]] = []
-    numbers: list[int] = []
+    numbers, of_people = list[int](), list[int]()
+    people = list[Array]()
     scored = True
     for i, frame in enumerate(frames):
-        with numbers_of(f"{where}, entry {i}"):
-            numbers.append(number := whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id"))
+        with numbers_of(f"{source.path}, entry {i}"):
+            numbers.append(whole_number(frame.get("frame_id", i)))
             for person in frame["instances"]:
                 scores = person.get("keypoint_scores")
                 scored = scored and scores is not None
-                rows.append((number, scored_points(person["keypoints"], scores, f"{where}, frame {number}")))
-    people = dict.fromkeys(numbers, np.zeros((0, 0, 3))) | grouped(rows, where)
+                people.append(scored_points(person["keypoints"], scores))
+                of_people.append(numbers[-1])
+    found = grouped(of_people, people, str(source.path), numbers)
     kind = "MMPose results" if meta is not None else "MMPose predictions"
     # all frames are listed, so the smallest number is the first frame's
-    return KeypointTable(kind, people, min(numbers, default=0), _names_of_meta(meta), scored=scored)
+    return KeypointTable(kind, found, min(numbers, default=0), _names_of_meta(meta), scored=scored)
 
 
 def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
@@ -442,29 +407,23 @@ def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
 
 
 def _coco(source: Source) -> KeypointTable:
-    document, where = source.document, str(source.path)
+    document = source.document
     found, images = (
         (document["annotations"], document.get("images")) if isinstance(document, dict) else (document, None)
     )
-    numbers = _image_numbers(images)
-    rows: list[tuple[int, Array]] = []
+    numbers: dict[Any, int] = _image_numbers(images)
+    of_people, people = list[int](), list[Array]()
     for i, person in enumerate(found):
-        at = f"{where}, entry {i}"
-        with numbers_of(at):
+        with numbers_of(f"{source.path}, entry {i}"):
             identity, points = person["image_id"], np.array(person["keypoints"], dtype=np.float64).reshape(-1, 3)
-        if isinstance(identity, str):
-            number = last_number(Path(identity).stem)
-            if number is None:
-                raise InputError(f"{at}: image_id {identity[:40]!r} has no frame number; export the results again.")
-        else:
-            number = whole_number(identity, at, "image_id")
-            number = numbers.get(number, number)
+            number = last_number(Path(identity).stem) if isinstance(identity, str) else whole_number(identity)
+            of_people.append(whole_number(numbers.get(identity, number)))
         if images is not None:  # annotations by hand: 0 not there, 1 hidden, 2 seen
             points[:, 2] = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0)
-        rows.append((number, points))
+        people.append(points)
     kind = "AlphaPose results" if any("box" in p or "idx" in p for p in found) else "COCO results"
-    counted = bool(rows) and _counted([person["image_id"] for person in found])
-    return KeypointTable(kind, grouped(rows, where), 0 if counted else None, scored=images is None)
+    first = 0 if people and _counted([person["image_id"] for person in found]) else None
+    return KeypointTable(kind, grouped(of_people, people, str(source.path)), first, scored=images is None)
 
 
 def _counted(names: Iterable[Any]) -> bool:
@@ -481,14 +440,13 @@ def _image_numbers(images: Any) -> dict[int, int]:
 
 
 def _alphapose_frames(source: Source) -> KeypointTable:
-    where, people = str(source.path), dict[int, Array]()
+    people = dict[int, Array]()
     for name, frame in source.document.items():
-        number = last_number(Path(name).stem)
-        if number is None:
-            raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
+        at = f"{source.path}, frame {name[:40]}"
         if isinstance(bodies := frame.get("bodies"), list):  # form "cmu": Panoptic's keys, OpenPose's 18 points
             frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
-        people[number] = parse_openpose(frame, f"{where}, frame {name}")
+        with numbers_of(at):
+            people[whole_number(last_number(Path(name).stem))] = parse_openpose(frame, at)
     first = 0 if _counted(source.document) else None
     return KeypointTable("AlphaPose results (form open or cmu)", people, first)
 
@@ -565,12 +523,12 @@ def _easymocap(source: Source) -> KeypointTable:
 
 def _ultralytics(source: Source) -> KeypointTable:
     files = numbered_files(source.files(".txt"))
-    widths = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
+    widths = {len(row) for p in list(files.values())[:100] for row in _labels(p)}
     # the numbers of each point, and of what may follow: the person's confidence, its track where it is followed
     for per_point, count in itertools.product((3, 2), _COUNTS):
         if widths and all(0 <= width - 5 - per_point * count <= 2 for width in widths):
             layout = f"Ultralytics labels ({'with' if per_point == 3 else 'without'} confidences)"
-            people = _FrameFiles(files, _row_reader(count, per_point))
+            people = _FrameFiles(files, partial(_labelled_people, count=count, per_point=per_point))
             return KeypointTable(layout, people, min(1, *files), shares=True, scored=per_point == 3)
     raise InputError(
         f"The files in {source.path} have {', '.join(map(str, sorted(widths))) or 'no'} numbers a line, which is no "
@@ -578,36 +536,27 @@ def _ultralytics(source: Source) -> KeypointTable:
     )
 
 
-def text_lines_or_none(path: Path) -> list[str]:
-    """Read the lines of a file that are not blank; an empty file has none."""
-    if path.stat().st_size == 0:
-        return []
-    return [line for line in text_lines(path, "a label file of Ultralytics", _MAX_FILE) if line.strip()]
+def _labels(path: Path) -> list[Array]:
+    """Read the numbers of each line of a label file, which may be empty."""
+    with numbers_of(str(path)):
+        lines = read_text(path, "a label file of Ultralytics", _MAX_FILE).splitlines()
+        return [np.array(line.split(), dtype=np.float64) for line in lines if line.strip()]
 
 
-def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
-    """Make the reader of a label file: a function of its path that returns people (P, K, 3), as shares of the picture.
+def _labelled_people(path: Path, count: int, per_point: int) -> Array:
+    """Read the people (P, K, 3) of a label file, as shares of the picture.
 
     count: number K of points of a person.
     per_point: numbers of each point, 2 or 3.
     """
-
-    def read(path: Path) -> Array:
-        people = []
-        for line in text_lines_or_none(path):
-            with numbers_of(str(path)):
-                values = np.array([float(c) for c in line.split()])
-            if not 0 <= len(values) - 5 - count * per_point <= 2:
-                raise InputError(
-                    f"{path}: a line has {len(values)} numbers, which are not {count} points; write it again."
-                )
-            points = values[5 : 5 + count * per_point].reshape(count, per_point)
-            if np.nanmax(np.abs(points[:, :2])) > 1.5:
-                raise InputError(f"{path}: positions must be shares of the picture (0 to 1); write the labels again.")
-            people.append(scored_points(points[:, :2], points[:, 2] if per_point == 3 else None, str(path)))
-        return checked_people(people, str(path))
-
-    return read
+    size = count * per_point
+    with numbers_of(str(path)):
+        # at most two numbers follow the points: with more, the shape is another
+        points = [row[5 : max(5 + size, len(row) - 2)].reshape(count, per_point) for row in _labels(path)]
+        people = checked_people([p if per_point == 3 else scored_points(p) for p in points], str(path))
+    if np.abs(people[..., :2]).max(initial=0) > 1.5:
+        raise InputError(f"{path}: positions must be shares of the picture (0 to 1); write the labels again.")
+    return people
 
 
 # ---- keypoint arrays -----------------------------------------------------------------------------------------------
@@ -629,13 +578,9 @@ def _freemocap(source: Source) -> dict[str, KeypointTable]:
             f"{path} has the shape {shape}, FreeMoCap's is (cameras, frames, points, 2 or 3); name its "
             "...2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy."
         )
-    values = np.array(data[..., :2], dtype=np.float64)
-    body = 33 if shape[2] >= 33 else shape[2]  # MediaPipe's hands and face come after the body
-    out = {}
-    for c, frames in enumerate(values[:, :, :body]):
-        people = checked_people(np.concatenate([frames, np.ones((*frames.shape[:2], 1))], -1), str(path))
-        out[str(c)] = KeypointTable("FreeMoCap", dict(enumerate(people[:, None])), 0, scored=False)
-    return out
+    body = scored_points(data[:, :, : 33 if shape[2] >= 33 else None])  # MediaPipe's hands and face come after the body
+    found = {str(c): grouped(range(shape[1]), frames, str(path)) for c, frames in enumerate(body)}
+    return {name: KeypointTable("FreeMoCap", people, 0, scored=False) for name, people in found.items()}
 
 
 @contextmanager
@@ -643,12 +588,8 @@ def _h5(source: Source) -> Iterator[Any]:
     """Open an HDF5 file within a with block; errors of the library become an InputError."""
     readable_size(source.path, source.kind, MAX_BYTES)
     h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
-    try:
-        with h5py.File(source.path, "r") as file:
-            yield file
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
-        reason = " ".join(str(problem).split())[:100]
-        raise InputError(f"{source.path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+    with numbers_of(f"{source.path}, read as HDF5,"), h5py.File(source.path, "r") as file:
+        yield file
 
 
 def _h5_holds(source: Source, wanted: Callable[[Any], Any]) -> bool:
@@ -683,14 +624,15 @@ def _sleap_h5(source: Source) -> KeypointTable:
         names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
         tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
         scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
-    tracks = _fitted(tracks, (None, 2, len(names), None), where)
-    people, _, _, frames = tracks.shape
-    scores = None if scores is None else _fitted(scores, (people, len(names), frames), where)
-    scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
-    confidence = scores if scores is not None and scored else np.ones((people, len(names), frames))
-    points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence.transpose(2, 0, 1)[..., None]], axis=-1)
-    found = _people_of_frames(range(frames), points, where)
-    return KeypointTable("SLEAP analysis", found, 0, names, scored=scored)
+    tracks = _fitted(tracks, (None, 2, len(names), None), where).transpose(3, 0, 2, 1)
+    frames, people = tracks.shape[:2]
+    if scores is not None and not np.isfinite(scores).any():  # people were marked by hand
+        scores = None
+    if scores is not None:
+        scores = _fitted(scores, (people, len(names), frames), where).transpose(2, 0, 1)
+    points = scored_points(tracks, scores).reshape(-1, len(names), 3)
+    found = grouped(np.repeat(range(frames), people).tolist(), points, where)
+    return KeypointTable("SLEAP analysis", found, 0, names, scored=scores is not None)
 
 
 def _deeplabcut_h5(source: Source) -> KeypointTable:
@@ -716,8 +658,7 @@ def _deeplabcut_h5(source: Source) -> KeypointTable:
     if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
         raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")
     named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
-    counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
-    return deeplabcut_table(named, counted, values, where)
+    return deeplabcut_table(named, np.asarray(numbers).tolist(), values, where)
 
 
 KEYPOINTS = FormatTable(

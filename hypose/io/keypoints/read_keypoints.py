@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoints import IMPLAUSIBLE, KEYPOINT_SETS, arranged, bone_excess, keypoint_names, set_of_points
 from hypose.geometry import Array
-from hypose.io.file_names import file_name, match_names
-from hypose.io.files import read_json, write_text
+from hypose.io.files import file_name, match_names, read_json, write_text
 from hypose.io.keypoints.keypoint_files import KEYPOINTS, MAX_POINT_FRAMES, KeypointTable, clock_file
 from hypose.io.videos.video import evenly_spread
 
@@ -210,13 +209,14 @@ def _reported(
     if table.names is not None:
         kind, sample, left = arranged(table.names, sample)
         how = "by their names" + (f", without {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}" if left else "")
-        if bone_excess(sample, kind) > IMPLAUSIBLE:
-            raise InputError(
-                f"named as they are ({kind}), their bones have impossible lengths; the names belong to other points, "
-                "or the positions were changed: export them again."
-            )
-        if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
-            raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
+        faults = {
+            f"named as they are ({kind}), their bones have impossible lengths; the names belong to other points, or "
+            "the positions were changed: export them again": bone_excess(sample, kind) > IMPLAUSIBLE,
+            f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set": (
+                stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]
+            ),
+        }
+        refuse("", faults)
     else:
         kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]

@@ -20,10 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.joint_angles import is_length
 from hypose.body.motion import Motion, sd_per_axis
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.geometry import Array
-from hypose.io.file_names import utf8_path
-from hypose.io.files import MAX_TEXT_BYTES, atomic_path, numbers_of, open_file, read_bytes, text_lines, write_text
+from hypose.io.files import (
+    MAX_TEXT_BYTES,
+    atomic_path,
+    numbers_of,
+    open_file,
+    read_bytes,
+    text_lines,
+    utf8_path,
+    write_text,
+)
 
 # ---- markers -------------------------------------------------------------------------------------------------------
 # Markers: the type that every reader of marker files returns.
@@ -40,13 +48,11 @@ class Markers:
     names: M names.
     points: (T, M, 3) m; NaN where a marker was not seen.
     frame_rate: Hz.
-    units: unit of length in the file.
     """
 
     names: tuple[str, ...]
     points: Array
     frame_rate: float
-    units: str
 
 
 def metres_per_unit(unit: str, where: str) -> float:
@@ -120,8 +126,7 @@ def read_trc(path: str | Path) -> Markers:
             f"{path}: DataRate {rate:g} and NumMarkers {count:g} are not possible with the {len(names)} markers that "
             f"line 4 names; the rate must be positive and the markers 1 to {_MAX_MARKERS}."
         )
-    units = header.get("Units", "mm")
-    scale = metres_per_unit(units, str(path))
+    scale = metres_per_unit(header.get("Units", "mm"), str(path))
     rows = [_row(line, len(names), f"{path}: line {n}") for n, line in enumerate(lines[5:], start=6) if line.strip()]
     if not rows:
         raise InputError(f"{path} has a header but no frames.")
@@ -133,7 +138,7 @@ def read_trc(path: str | Path) -> Markers:
     data = np.array(rows).reshape(len(rows), len(names), 3)
     points = np.empty_like(data)
     points[..., _WORLD] = data * scale
-    return Markers(names, points, rate, units)
+    return Markers(names, points, rate)
 
 
 def _row(line: str, markers: int, where: str) -> list[float]:
@@ -432,7 +437,7 @@ def read_c3d(path: str | Path) -> Markers:
         labels, k = labels + list(more), k + 1
     labels += [""] * (points.shape[1] - len(labels))
     names = tuple(name or f"point_{i}" for i, name in enumerate(labels[: points.shape[1]], start=1))
-    return Markers(names, points * metres_per_unit(unit, str(path)), rate, unit)
+    return Markers(names, points * metres_per_unit(unit, str(path)), rate)
 
 
 _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
@@ -514,15 +519,17 @@ def _points(data: bytes, parameters: _Parameters, order: str, path: str | Path) 
     scale = float(stated("POINT:SCALE", _floats(data[12:16], order)[0]))
     rate = float(stated("POINT:RATE", _floats(data[20:24], order)[0]))
     begin = ((int(stated("POINT:DATA_START", words[8])) & 0xFFFF) - 1) * _BLOCK
-    if points == 0 and stated("ROTATION:USED", 0):
-        raise InputError(
-            f"{path} holds rotations and positions of segments, as Theia3D writes them, and no points; export joint "
-            "centres as points, from Visual3D for example."
-        )
-    if points == 0 or last < first or begin < _BLOCK:
-        raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
-    if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:
-        raise InputError(f"{path}: point scale {scale:g} and frame rate {rate:g} are not possible; export it again.")
+    faults = {
+        " holds rotations and positions of segments, as Theia3D writes them, and no points; export joint centres as "
+        "points, from Visual3D for example": points == 0 and stated("ROTATION:USED", 0),
+        f" holds no points: {points} markers, frames {first} to {last}; a recording is needed": (
+            points == 0 or last < first or begin < _BLOCK
+        ),
+        f": point scale {scale:g} and frame rate {rate:g} are not possible; export it again": (
+            not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6
+        ),
+    }
+    refuse(str(path), faults)
     frames, frame_bytes = last - first + 1, (4 * points + analog) * (4 if scale < 0 else 2)  # floats or integers
     raw = data[begin : begin + frames * frame_bytes]
     if len(raw) < frames * frame_bytes:

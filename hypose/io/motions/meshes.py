@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.joint_names import SMPL_JOINTS
-from hypose.errors import InputError, extra
+from hypose.errors import InputError, extra, refuse
 from hypose.geometry import Array
 from hypose.io.files import numbers_of, read_bytes
-from hypose.io.motions.results import load_archive
+from hypose.io.motions.results import Archive
+from hypose.json_text import parse_json
 
 MAX_MESH_BYTES = 512 * 2**20
 MAX_FACES = 3_000_000
@@ -73,22 +74,19 @@ def read_person(path: str | Path) -> PersonMesh:
     """
     p = Path(path)
     ending = p.suffix.lower()
-    if ending == ".pkl":
-        raise InputError(f"{p} is a pickle, which may run any program when read; save the model as .npz instead.")
-    if ending == ".gltf":
-        raise InputError(f"{p}: a .gltf names other files; export it as one .glb instead.")
-    if ending not in MESH_ENDINGS:
-        raise InputError(f"{p} is not {_KIND}; export the scan in one of these formats.")
+    faults = {
+        " is a pickle, which may run any program when read; save the model as .npz instead": ending == ".pkl",
+        ": a .gltf names other files; export it as one .glb instead": ending == ".gltf",
+        f" is not {_KIND}; export the scan in one of these formats": ending not in MESH_ENDINGS,
+    }
+    refuse(str(p), faults)
     if ending == ".npz":
         return _read_smpl(p)
     data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".glb":
-        from hypose.io.motions.animation import read_skin
-
-        skinned = read_skin(data, str(p))
+        skinned = _read_skin(data, str(p))
         if skinned is not None:
-            vertices, faces, names, parents, joints, weights = skinned
-            return _checked(PersonMesh(vertices, faces, Rig(names, parents, joints, weights), "+y", str(p)))
+            return _checked(skinned)
     vertices, faces = _read_geometry(p, data, _TRIMESH[ending])
     return _checked(PersonMesh(vertices, faces, None, "+y" if ending == ".glb" else "", str(p)))
 
@@ -107,14 +105,94 @@ def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[n
     return vertices, faces.astype(np.int32)
 
 
+_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_LARGEST = 1e12
+
+
+def _read_skin(data: bytes, where: str) -> PersonMesh | None:
+    """Read the meshes with the first skin of a GLB file, in the mesh's space at bind time.
+
+    data: content of the file.
+    where: name of the file in error messages.
+    Returns: None without a skinned mesh.
+    Raises: InputError where the file is damaged or compressed.
+    Source: Khronos glTF 2.0, sections 3.7.3 (skins) and 4.4 (GLB).
+    """
+    if data[:4] != b"glTF":
+        return None
+    length = int.from_bytes(data[12:16], "little")
+    with numbers_of(f"{where}, read as a skinned GLB,"):
+        document, blob = parse_json(data[20 : 20 + length]), data[28 + length :]
+        nodes = document.get("nodes", ())
+        users = [n for n in nodes if n.get("skin") is not None and n.get("mesh") is not None]
+        if not users:
+            return None
+        skin = document["skins"][users[0]["skin"]]
+        own = skin["joints"]
+        inverse = _array(document, blob, skin["inverseBindMatrices"]).reshape(len(own), 4, 4).swapaxes(1, 2)
+        parent_of = {c: k for k, n in enumerate(nodes) for c in n.get("children", ())}
+        place: dict[Any, int] = {node: k for k, node in enumerate(own)}
+        parents = []
+        for node in own:
+            up, steps = parent_of.get(node), 0
+            while up is not None and up not in place and steps < len(nodes):
+                up, steps = parent_of.get(up), steps + 1
+            parents.append(place.get(up, -1))
+        points, faces, weights = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros((0, len(own)))]
+        users = [u for u in users if u["skin"] == users[0]["skin"]]
+        for primitive in (p for u in users for p in document["meshes"][u["mesh"]]["primitives"]):
+            attributes = primitive["attributes"]
+            if "JOINTS_0" not in attributes or primitive.get("mode", 4) != 4:
+                continue
+            v = _array(document, blob, attributes["POSITION"])
+            index = _array(document, blob, primitive["indices"]) if "indices" in primitive else np.arange(len(v))
+            w = np.zeros((len(v), len(own)))
+            for k in (k for k in (0, 1) if f"JOINTS_{k}" in attributes):
+                which = _array(document, blob, attributes[f"JOINTS_{k}"]).astype(np.int64)
+                np.add.at(w, (np.arange(len(v))[:, None], which), _array(document, blob, attributes[f"WEIGHTS_{k}"]))
+            faces.append(index.astype(np.int64).reshape(-1, 3) + sum(map(len, points)))
+            points.append(v)
+            weights.append(w)
+        names = tuple(str(nodes[k].get("name") or f"joint_{k}") for k in own)
+        joints = np.linalg.inv(inverse)[:, :3, 3].astype(np.float64)
+        rig = Rig(names, np.array(parents, dtype=np.int64), joints, np.concatenate(weights))
+        whole = PersonMesh(np.concatenate(points), np.concatenate(faces).astype(np.int32), rig, "+y", where)
+    return whole if len(whole.vertices) else None
+
+
+def _array(document: Any, blob: bytes, number: int) -> Array:
+    """Read an array of a GLB file as float64 (count, columns); normalised integers become fractions.
+
+    document, blob: its JSON and its binary part.
+    number: number of the accessor.
+    Raises: ValueError where it is compressed, in another file, reaches beyond the end of the file, or holds NaN or huge
+        numbers.
+    """
+    a = document["accessors"][number]
+    view = document["bufferViews"][a["bufferView"]]
+    if "sparse" in a or view["buffer"] != 0:
+        raise ValueError("its data are compressed or lie in another file")
+    dtype, columns = np.dtype(_DTYPES[a["componentType"]]), _COLUMNS[a["type"]]
+    step = view.get("byteStride") or dtype.itemsize * columns
+    start, count = view.get("byteOffset", 0) + a.get("byteOffset", 0), a["count"]
+    if count < 1 or start < 0 or start + step * (count - 1) + dtype.itemsize * columns > len(blob):
+        raise ValueError("an array reaches beyond the end of the file")
+    raw = np.ndarray((count, columns), dtype, blob, start, (step, dtype.itemsize))
+    if not np.isfinite(raw).all() or np.abs(raw).max() > _LARGEST:
+        raise ValueError("its numbers are not finite, or too large")
+    return raw / float(np.iinfo(dtype).max) if a.get("normalized") and dtype.kind in "iu" else raw.astype(np.float64)
+
+
 def _read_smpl(path: Path) -> PersonMesh:
     """Read a body model in SMPL's format from an .npz file, in its rest pose and mean shape.
 
     Raises: InputError where it is not such a model.
     """
     names = ("v_template", "f", "weights", "J_regressor", "kintree_table")
-    arrays = load_archive(path, "model in SMPL's format", f"save {', '.join(names)} {_PLAIN}", names, MAX_MESH_BYTES)
-    with numbers_of(str(path)):
+    step = f"save {', '.join(names)} {_PLAIN}"
+
+    def build(arrays: dict[str, np.ndarray]) -> PersonMesh:
         v = arrays["v_template"].astype(np.float64).reshape(-1, 3)
         f = arrays["f"].astype(np.int64).reshape(-1, 3)
         w, regressor = arrays["weights"].astype(np.float64), arrays["J_regressor"].astype(np.float64)
@@ -123,11 +201,12 @@ def _read_smpl(path: Path) -> PersonMesh:
         if w.shape != (len(v), n) or regressor.shape != (n, len(v)) or parents.shape != (n,) or n < len(SMPL_JOINTS):
             shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
             raise ValueError(f"the arrays do not belong to one model of at least {len(SMPL_JOINTS)} joints: {shapes}")
-    # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
-    tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
-    joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
-    rig = Rig(joint_names, tree, regressor @ v, w)
-    return _checked(PersonMesh(v, f.astype(np.int32), rig, "", str(path)))
+        # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
+        tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
+        joint_names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
+        return PersonMesh(v, f.astype(np.int32), Rig(joint_names, tree, regressor @ v, w), "", str(path))
+
+    return _checked(Archive("model in SMPL's format", step, packed=MAX_MESH_BYTES).load(path, build, names))
 
 
 def _checked(mesh: PersonMesh) -> PersonMesh:
@@ -149,8 +228,7 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
         "has joints or weights that are not finite; export it again": rig is not None
         and not (np.isfinite(rig.weights).all() and np.isfinite(rig.joints).all()),
     }
-    if found := [fault for fault, there in faults.items() if there]:
-        raise InputError(f"{source} {found[0]}.")
+    refuse(f"{source} ", faults)
     return mesh
 
 

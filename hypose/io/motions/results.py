@@ -14,8 +14,7 @@ import platform
 import re
 import sys
 import zipfile
-import zlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,10 +26,9 @@ from hypose import __version__
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.motion import Modes, Motion, modes_arrays
 from hypose.body.skeleton import Skeleton
-from hypose.errors import HyposeError, InputError
+from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array
-from hypose.io.file_names import natural_key
-from hypose.io.files import atomic_path, open_file, unreadable, write_text
+from hypose.io.files import DAMAGED, atomic_path, natural_key, open_file, unreadable, write_text
 from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
@@ -94,6 +92,19 @@ def to_json(value: Any) -> str:
 
     text = json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain)
     return text.encode("utf-8", "backslashreplace").decode() + "\n"
+
+
+def json_values(value: Any) -> Any:
+    """Convert a value to plain JSON values; NaN and infinity become null, invalid text is escaped."""
+    if isinstance(value, np.ndarray | np.generic):
+        return json_values(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {visible(str(k)): json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(v) for v in value]
+    return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
 @dataclass(frozen=True)
@@ -198,97 +209,92 @@ def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     return array.reshape(shape[::-1]).T.copy() if fortran else array.reshape(shape)
 
 
-def load_archive(
-    path: Path, what: str, next_step: str, only: Container[str] | None = None, packed: int = 0
-) -> dict[str, np.ndarray]:
-    """Read the arrays of an .npz file that `write_archive` wrote.
+@dataclass(frozen=True)
+class Archive:
+    """Description of one kind of .npz file that `write_archive` writes: its name and the arrays that it holds.
 
-    what: kind of file in error messages, such as "motion".
+    what: its name in error messages.
     next_step: last part of the error messages.
-    only: names of the arrays to read; None for all.
+    layout: its arrays; None where they are not known before.
+    finite: names of the arrays that must not hold NaN or infinity.
+    optional: names of the arrays that may be absent.
     packed: limit of the unpacked size in bytes when compressed entries are accepted; 0 accepts none, because they could
         be a zip bomb.
-    Raises: InputError where the file does not exist, is damaged or is not such a file. Nothing is allocated before its
-        size is known.
     """
-    if not path.is_file():
-        raise InputError(f"The {what} {path} does not exist; {next_step}.")
-    out: dict[str, np.ndarray] = {}
-    try:
-        with open_file(path, f"a {what}", _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
+
+    what: str
+    next_step: str
+    layout: _Layout | None = None
+    finite: Container[str] = ()
+    optional: Container[str] = ()
+    packed: int = 0
+
+    def load(
+        self, path: Path, build: Callable[[dict[str, np.ndarray]], Any] = dict, only: Container[str] | None = None
+    ) -> Any:  # noqa: ANN401 (what `build` returns)
+        """Read the arrays, check them against the layout, and make a value of them.
+
+        build: function that makes the value of the arrays; its errors say that the file is damaged.
+        only: names of the arrays to read; None for all.
+        Raises: InputError where the file does not exist, is damaged or is not of this kind. Nothing is allocated before
+            its size is known.
+        """
+        if not path.is_file():
+            raise InputError(f"The {self.what} {path} does not exist; {self.next_step}.")
+        with open_file(path, f"a {self.what}", _MAX_ARCHIVE_BYTES) as stream:
+            try:
+                return build(self._checked(self._read(stream, only), only))
+            except OSError as error:
+                raise InputError(f"{path} cannot be read ({error}); {self.next_step}.") from None
+            except (HyposeError, *DAMAGED) as error:
+                reason = f"{error} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
+                raise InputError(f"{path} is not a {self.what}, or is damaged: {reason}; {self.next_step}.") from None
+
+    def _read(self, stream: BinaryIO, only: Container[str] | None) -> dict[str, np.ndarray]:
+        """Read the arrays of an archive; ValueError and others where it cannot be one."""
+        with open_archive(stream) as archive:
             entries = archive.infolist()
             for entry in entries:
                 if not re.fullmatch(r"[\w.-]+\.npy", entry.filename):
                     raise ValueError(f"it holds {entry.filename!r}, which is no array")
-                if (entry.compress_type != zipfile.ZIP_STORED and not packed) or entry.flag_bits & 1:
+                if (entry.compress_type != zipfile.ZIP_STORED and not self.packed) or entry.flag_bits & 1:
                     raise ValueError(f"{entry.filename} is compressed or encrypted")
-            limit = max(packed, os.fstat(stream.fileno()).st_size)
+            limit = max(self.packed, os.fstat(stream.fileno()).st_size)
             if sum(e.file_size for e in entries) > limit or len({e.filename for e in entries}) < len(entries):
                 raise ValueError(f"it holds an array twice, or arrays of more than {limit >> 20} MiB together")
+            out: dict[str, np.ndarray] = {}
             for entry in entries:
                 name = entry.filename.removesuffix(".npy")
                 if only is None or name in only:
                     with archive.open(entry) as array:
                         out[name] = parse_array(name, array, entry.file_size)
-    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
-        reason = str(error).rstrip(".")
-        raise InputError(f"{path} is not a {what}, or is damaged: {reason}; {next_step}.") from None
-    except (OSError, MemoryError, zlib.error) as error:
-        raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
-    return out
+            return out
 
-
-@dataclass(frozen=True)
-class Archive:
-    """Description of one kind of .npz file: its name and the arrays that it holds.
-
-    what: its name in error messages.
-    next_step: last part of the error messages.
-    layout: its arrays.
-    finite: names of the arrays that must not hold NaN or infinity.
-    optional: names of the arrays that may be absent.
-    """
-
-    what: str
-    next_step: str
-    layout: _Layout
-    finite: Container[str] = ()
-    optional: Container[str] = ()
-
-    def bad(self, path: Path, reason: object) -> InputError:
-        """Make the InputError for a file that is not of this kind."""
-        return InputError(f"{path} is not a {self.what}, or is damaged: {str(reason).rstrip('.')}; {self.next_step}.")
-
-    def load(self, path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
-        """Read the arrays and check them against the layout.
-
-        only: names of the arrays to read; None for all.
-        Raises: InputError where an array is missing, unknown or of another type, or is not finite.
-        """
-        arrays = load_archive(path, self.what, self.next_step, only)
+    def _checked(self, arrays: dict[str, np.ndarray], only: Container[str] | None) -> dict[str, np.ndarray]:
+        """Check arrays against the layout and return them; ValueError where they do not fit it."""
+        if self.layout is None:
+            return arrays
         for name, array in arrays.items():
             if name not in self.layout:
-                raise self.bad(path, f"it holds the unknown array {name!r}")
+                raise ValueError(f"it holds the unknown array {name!r}")
             kind, stored, ndim = self.layout[name]
             if array.dtype.kind != kind or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
-                raise self.bad(path, f"{name} is {array.dtype} with {array.ndim} dimensions")
+                raise ValueError(f"{name} is {array.dtype} with {array.ndim} dimensions")
             usable = ~np.isnan(array) if name in _LIMITS else np.isfinite(array) if name in self.finite else True
             if not np.all(usable):
-                raise self.bad(path, f"{name} contains NaN or infinity")
+                raise ValueError(f"{name} contains NaN or infinity")
         wanted = [n for n in self.layout if n not in self.optional and (only is None or n in only)]
         if missing := [n for n in wanted if n not in arrays]:
-            raise self.bad(path, f"{', '.join(missing)} is missing")
+            raise ValueError(f"{', '.join(missing)} is missing")
         if "format" in arrays:
-            self.check_format(path, int(arrays.pop("format")))
+            _check_format(int(arrays.pop("format")))
         return arrays
 
-    def check_format(self, path: Path, version: object) -> None:
-        """Check the number of the format.
 
-        Raises: InputError where another version of hypose wrote it.
-        """
-        if version != _FORMAT:
-            raise self.bad(path, f"it has format {version}, this version of hypose reads format {_FORMAT}")
+def _check_format(version: object) -> None:
+    """Check the number of the format; ValueError where another version of hypose wrote it."""
+    if version != _FORMAT:
+        raise ValueError(f"it has format {version}, this version of hypose reads format {_FORMAT}")
 
 
 def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
@@ -353,21 +359,16 @@ def load_motion(path: str | Path) -> Motion:
 
     Raises: InputError where the file is damaged, of another kind, or malicious.
     """
-    path = Path(path)
-    arrays = _MOTION.load(path)
+    return _MOTION.load(Path(path), _motion_of)
+
+
+def _motion_of(arrays: Mapping[str, np.ndarray]) -> Motion:
     if (np.diff(arrays["times"]) <= 0).any():
-        raise _MOTION.bad(path, "times do not increase")
-    try:
-        document = parse_json(str(arrays["provenance"]))
-        provenance, version = dict(document["provenance"]), document["format"]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise _MOTION.bad(path, "its provenance is no JSON") from None
-    _MOTION.check_format(path, version)
-    try:
-        series: dict[str, Any] = {name: arrays.get(name) for name in (*_SERIES, *_OPTIONAL)}
-        return Motion(skeleton=_skeleton_of(arrays), provenance=provenance, **series)
-    except InputError as error:
-        raise _MOTION.bad(path, error) from None
+        raise ValueError("times do not increase")
+    document = parse_json(str(arrays["provenance"]))
+    _check_format(document["format"])
+    series: dict[str, Any] = {name: arrays.get(name) for name in (*_SERIES, *_OPTIONAL)}
+    return Motion(skeleton=_skeleton_of(arrays), provenance=dict(document["provenance"]), **series)
 
 
 # ---- checkpoints -------------------------------------------------------------------------------------------
@@ -419,17 +420,16 @@ class Checkpoint:
     @staticmethod
     def read(path: str | Path) -> Checkpoint:
         """Read a checkpoint of any run; InputError where the file is damaged or of another version of hypose."""
-        path = Path(path)
-        arrays = load_archive(path, "checkpoint", _AFRESH)
-        try:
-            document = parse_json(str(arrays.pop("checkpoint")))
-            frame, meta, stored = document["frame"], document["meta"], document["identity"]
-            version = document["format"]
-        except (ValueError, KeyError, TypeError, RecursionError):
-            raise InputError(f"{path} is not a checkpoint; {_AFRESH}.") from None
-        if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
-            raise InputError(f"{path} is a checkpoint of another version of hypose; {_AFRESH}.")
-        return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
+        return Archive("checkpoint", _AFRESH).load(Path(path), _checkpoint_of)
+
+
+def _checkpoint_of(arrays: dict[str, np.ndarray]) -> Checkpoint:
+    document = parse_json(str(arrays.pop("checkpoint")))
+    _check_format(document["format"])
+    frame, meta, identity = document["frame"], document["meta"], document["identity"]
+    if not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(identity, dict)):
+        raise ValueError("its description is none of a checkpoint")
+    return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, identity)
 
 
 def load_result(path: Path) -> Motion:
@@ -441,15 +441,10 @@ def load_result(path: Path) -> Motion:
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
     file = path / "motion.npz" if path.is_dir() else path
     if path.is_dir() and not file.exists():
-        people = sorted(p.parent for p in path.glob("*/motion.npz"))
-        if people:
-            raise InputError(
-                f"{path} holds the results of {', '.join(p.name for p in people)}; give one of them, for example "
-                f"{people[0]}."
-            )
-        runs = sorted(p.parent for p in path.glob("results/*/motion.npz"))
-        if runs:
-            raise InputError(f"{path} is a recording, not a result; give one of its results, for example {runs[0]}.")
+        found = [p.parent for pattern in ("*/motion.npz", "results/*/motion.npz") for p in sorted(path.glob(pattern))]
+        if found:
+            names = ", ".join(p.relative_to(path).as_posix() for p in found)
+            raise InputError(f"{path} holds the results of {names}; give one of them, for example {found[0]}.")
     if file.suffix.lower() != ".npz":
         raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
     return load_motion(file)
@@ -533,12 +528,7 @@ def load_body(path: str | Path) -> Body:
 
     Raises: InputError where the file does not exist, is damaged, of another kind, or malicious.
     """
-    path = Path(path)
-    arrays = _BODY.load(path)
-    try:
-        return body_of_arrays(arrays)
-    except HyposeError as error:
-        raise _BODY.bad(path, error) from None
+    return _BODY.load(Path(path), body_of_arrays)
 
 
 def _mesh(arrays: Mapping[str, np.ndarray], level: str) -> Mesh:
@@ -595,7 +585,7 @@ def load_modes(path: str | Path) -> Modes:
 
     Raises: InputError where the file cannot be used.
     """
-    return Modes(**_MODES.load(Path(path)))
+    return _MODES.load(Path(path), lambda arrays: Modes(**arrays))
 
 
 def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
@@ -604,10 +594,13 @@ def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
     Returns: joints (T, K, J, 3) m, and weights (T, K).
     Raises: InputError as `load_modes`.
     """
-    found = _MODES.load(Path(path), ("joints", "weights"))
-    joints, weights = found["joints"], found["weights"]
+    return _MODES.load(Path(path), _joints_and_weights, ("joints", "weights"))
+
+
+def _joints_and_weights(arrays: Mapping[str, np.ndarray]) -> tuple[Array, Array]:
+    joints, weights = arrays["joints"], arrays["weights"]
     if joints.shape[:2] != weights.shape or joints.shape[3] != 3:
-        raise _MODES.bad(Path(path), "joints and weights do not belong together")
+        raise ValueError("joints and weights do not belong together")
     return joints, weights
 
 

@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 import zlib
 from collections import Counter
@@ -27,15 +26,17 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import as_mask
 from hypose.geometry import Mask
-from hypose.io.file_names import last_number, natural_key
-from hypose.io.files import MAX_TEXT_BYTES, numbers_of, read_json
+from hypose.io.files import MAX_TEXT_BYTES, last_number, natural_key, numbers_of, read_json
 from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,
+    decode,
     evenly_spread,
     frame_size,
     list_images,
     open_video,
+    png_chunks,
+    png_header,
     read_image,
     read_image_file,
 )
@@ -217,37 +218,21 @@ def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
 
 def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
     """Decode an image without conversion; None where it is damaged. True: its values are indices of a palette."""
-    data, image = read_image_file(path), None
-    bits = _palette_bits(data)
-    with contextlib.suppress(cv2.error):
-        plain = _without_palette(data) if bits else data
-        image = cv2.imdecode(np.frombuffer(plain, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        return None, False
-    if bits and bits < 8:  # a grey image of few bits is spread over 0 to 255
+    data = read_image_file(path)
+    *_, bits, colour = png_header(data)
+    indexed = colour == 3
+    image = decode(_without_palette(data) if indexed else data)
+    if image is not None and indexed and bits < 8:  # a grey image of few bits is spread over 0 to 255
         image = np.rint(image.astype(np.float64) * (2**bits - 1) / 255).astype(np.uint8)
-    return np.asarray(image), bool(bits)
-
-
-def _palette_bits(data: bytes) -> int:
-    """Read the bits per pixel of a PNG with a palette; 0 for any other data."""
-    if data[:8] != PNG_SIGNATURE or len(data) < 26 or data[12:16] != b"IHDR" or data[25] != 3:
-        return 0
-    return data[24]
+    return image, indexed
 
 
 def _without_palette(data: bytes) -> bytes:
     """Rewrite a palette PNG as a grey PNG, so that OpenCV gives the indices and not their colours."""
-    out, at = [data[:8]], 8
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        body = data[at + 8 : at + 8 + length]
-        if kind == b"IHDR":
-            body = body[:9] + b"\x00" + body[10:]
-        if kind not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
-            out.append(struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)))
-        at += 12 + length
-    return b"".join(out)
+    header = b"IHDR" + data[16:25] + b"\0" + data[26:29]
+    colours = (b"IHDR", b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT")
+    rest = [chunk for kind, chunk in png_chunks(data) if kind not in colours]
+    return b"".join([PNG_SIGNATURE, struct.pack(">I", 13), header, struct.pack(">I", zlib.crc32(header)), *rest])
 
 
 def _of_coco(path: Path) -> ObjectMasks:

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import InputError
-from hypose.evidence.keypoints import KEYPOINT_SETS, set_of_points
+from hypose.evidence.keypoints import KEYPOINT_SETS
 from hypose.io.calibrations.calibration_formats import find_calibration
-from hypose.io.file_names import match_names, natural_key, text_of
-from hypose.io.files import read_toml
+from hypose.io.files import match_names, natural_key, read_toml, text_of
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
@@ -249,22 +248,17 @@ def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str 
     notes: list to which a sentence is added where the files decide.
     Returns: None where the files decide.
     """
-    stated = None
-    if isinstance(model, str) and model.strip():
-        stated = _MODELS.get(model.strip().lower(), model.strip().upper())
-    sample = next((s for f in folders[:4] if len(s := KEYPOINTS.read(f).sample())), None)
-    count = None if sample is None else sample.shape[1]
-    if stated is not None and (count is None or _COUNT_OF_SET.get(stated, count) == count):
-        return stated
-    if sample is None:
+    if not isinstance(model, str) or not model.strip():
         return None
-    try:
-        found, _ = set_of_points([sample], None, ("BODY_25B",))
-    except InputError as problem:
-        raise InputError(f"The key points in {folders[0]}: {problem}") from None
-    said = f"Config.toml says {stated}" if stated else "Config.toml does not say which set"
-    notes.append(f"The key points have {count} points and are taken as {found} ({said}).")
-    return found
+    stated = _MODELS.get(model.strip().lower(), model.strip().upper())
+    sample = next((s for f in folders[:4] if len(s := KEYPOINTS.read(f).sample())), None)
+    if sample is None or _COUNT_OF_SET.get(stated, sample.shape[1]) == sample.shape[1]:
+        return stated
+    notes.append(
+        f"The key points have {sample.shape[1]} points, which are not those of {stated} in Config.toml; their bones "
+        "decide the set."
+    )
+    return None
 
 
 def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str]) -> None:

@@ -55,7 +55,7 @@ import difflib
 import os
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -63,15 +63,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError, InputError
+from hypose.errors import CalibrationError, InputError, refuse
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
-from hypose.io.calibrations.calibration_formats import find_calibration, read_any
-from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_calibration
 from hypose.io.calibrations.camera_tables import UNITS
-from hypose.io.file_names import file_name, match_names, text_of
-from hypose.io.files import read_toml, toml_lines, write_text
+from hypose.io.files import file_name, match_names, read_toml, text_of, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_views import (
@@ -88,96 +86,88 @@ from hypose.io.videos.video import VIDEO_ENDINGS, frame_size
 # ---- keys of recording.toml -----------------------------------------------------------------------------------------
 
 
-RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "calibration": str,
-    "calibration_unit": str,
-    "world_up": str,
-    "frame_rate": (int, float),
-    "frame_range": list,
-    "keypoint_set": str,
-    "keypoint_lag": int,
-    "keypoint_pixels": str,
-    "subject_height": (int, float),
-    "subject_mass": (int, float),
-    "view": list,
-    "left_out": list,
-    "person": list,
-    "silhouettes": dict,
+Check = tuple[Callable[[Any], bool], str]
+"""Test of the value of a key, and the allowed values in words."""
+
+
+def _number(low: float, high: float, unit: str) -> Check:
+    return lambda v: type(v) in (int, float) and low <= v <= high, f"a number of {unit} ({low:g} to {high:g})"
+
+
+def _numbers(count: int, kind: str, *types: type) -> Check:
+    def fits(value: Any) -> bool:
+        return isinstance(value, list) and len(value) == count and all(type(v) in types and abs(v) < 1e9 for v in value)
+
+    return fits, f"{count} {kind} in [ ]"
+
+
+def _word(*words: str) -> Check:
+    return lambda value: value in words, ", ".join(words)
+
+
+_TEXT: Check = (lambda value: isinstance(value, str), "text in quotes")
+_WHOLE: Check = (lambda value: type(value) is int and abs(value) < 1e9, "a whole number")
+_FLAG: Check = (lambda value: isinstance(value, bool), "true or false")
+_TABLE: Check = (lambda value: isinstance(value, dict), "a table, as [silhouettes]")
+_LIST: Check = (lambda value: isinstance(value, list), "a list in [ ]")
+_PAIR = _numbers(2, "numbers", int, float)
+_METRES = _number(0.4, 2.8, "metres")
+_UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+RECORDING_KEYS: dict[str, Check] = {
+    "name": _TEXT,
+    "calibration": _TEXT,
+    "calibration_unit": _word("auto", *UNITS),
+    "world_up": _word(*_UP),
+    "frame_rate": _number(0.1, 10_000, "frames per second"),
+    "frame_range": _numbers(2, "whole numbers", int),
+    "keypoint_set": _TEXT,
+    "keypoint_lag": _WHOLE,
+    "keypoint_pixels": _word("calibration", "image"),
+    "subject_height": _METRES,
+    "subject_mass": _number(2, 400, "kilograms"),
+    "view": _LIST,
+    "left_out": _LIST,
+    "person": _LIST,
+    "silhouettes": _TABLE,
+    "track": _TABLE,
 }
 PATH_KEYS = ("video", "images", "masks", "background", "keypoints", "depth")
-VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "camera": str,
-    **dict.fromkeys(PATH_KEYS, str),
-    "board": str,
-    "image_shift": list,
-    "accept_scaled": bool,
+VIEW_KEYS: dict[str, Check] = {
+    "name": _TEXT,
+    "camera": _TEXT,
+    **dict.fromkeys(PATH_KEYS, _TEXT),
+    "board": _TEXT,
+    "image_shift": _PAIR,
+    "accept_scaled": _FLAG,
 }
-PERSON_KEYS: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "height": (int, float),
-    "body": str,
-    "place": list,
-    "time": (int, float),
+PERSON_KEYS: dict[str, Check] = {
+    "name": _TEXT,
+    "height": _METRES,
+    "body": _TEXT,
+    "place": _PAIR,
+    "time": _number(0, 1e9, "seconds from the first frame"),
 }
-SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
-    f.name: type(f.default)
-    if type(f.default) in (bool, int, str)
-    else list
-    if f.name == "shadow_range"
-    else (int, float)
-    for f in fields(SilhouetteSettings)
-}
-_TYPE_NAMES = {
-    str: "text in quotes",
-    int: "a whole number",
-    list: "a list in [ ]",
-    bool: "true or false",
-    dict: "a table [silhouettes]",
-}
+_REAL: Check = (lambda value: type(value) in (int, float) and abs(value) < 1e9, "a number")
+CHECKS: dict[type, Check] = {str: _TEXT, int: _WHOLE, bool: _FLAG, float: _REAL, tuple: _PAIR}
+"""Check of a value by its type."""
+SILHOUETTE_KEYS = {f.name: CHECKS[type(f.default)] for f in fields(SilhouetteSettings)}
 
 
-def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:
-    """Check the keys of a table and the types of their values.
+def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, Check]) -> None:
+    """Check the keys of a table and their values.
 
     where: file and table, for the error message.
-    known: the allowed keys and their types.
-    Raises: InputError where a key is unknown (the most similar known key is named) or has the wrong type.
+    known: the allowed keys, and the test of each.
+    Raises: InputError where a key is unknown (the most similar known key is named) or its value is not allowed.
     """
     for key, value in table.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1, 0.5)
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
             raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
-        types = known[key]
-        if not isinstance(value, types) or (types is not bool and isinstance(value, bool)):
-            wanted = _TYPE_NAMES[types] if isinstance(types, type) else "a number"
+        fits, wanted = known[key]
+        if not fits(value):
             raise InputError(f"{where}: {key} must be {wanted}, got {value!r}; correct it.")
-        if isinstance(value, float) and not np.isfinite(value):
-            raise InputError(f"{where}: {key} must be a finite number, got {value!r}; correct it.")
-
-
-def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
-    """Check that a value is a list of `count` finite numbers, and return it.
-
-    where, key: start of the error message, and key of the value.
-    whole: they must be whole numbers.
-    Raises: InputError where it is anything else.
-    """
-    types = int if whole else (int, float)
-    fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
-    if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
-        kind = "whole numbers" if whole else "numbers"
-        raise InputError(f"{where}: {key} must be {count} {kind} in [ ], got {value!r}; correct it.")
-    return value
-
-
-def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
-    """Check that a value is one of the allowed words, and return it; InputError otherwise, which names the key."""
-    if value not in allowed:
-        raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
-    return value
 
 
 def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettings:
@@ -186,9 +176,7 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
     Raises: InputError where a key is unknown or a value is out of range.
     """
     check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
-    values = dict(table)
-    if "shadow_range" in values:
-        values["shadow_range"] = tuple(_numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
     try:
         return SilhouetteSettings(**values)
     except InputError as error:
@@ -255,20 +243,9 @@ def _person(folder: Path, where: str, table: Any, index: int) -> PersonSettings:
             f"{here}: the name must begin with a letter and may have letters, digits, spaces, dots and hyphens, since "
             "it names a folder, and must not be that of a file (report.html); change it."
         )
-    height, time = table.get("height"), float(table.get("time", 0.0))
-    if height is not None and not 0.4 <= height <= 2.8:
-        raise InputError(f"{here}: height = {height:g} is implausible; give it in metres (0.4 to 2.8).")
-    if time < 0:
-        raise InputError(f"{here}: time = {time:g} lies before the first frame; give seconds from there.")
-    place = None
-    if "place" in table:
-        x, y = _numbers(here, "place", table["place"], 2, whole=False)
-        place = (float(x), float(y))
     body = folder / table["body"] if "body" in table else None
-    return PersonSettings(name, None if height is None else float(height), body, place, time)
-
-
-_UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+    place = tuple(table["place"]) if "place" in table else None
+    return PersonSettings(name, table.get("height"), body, place, table.get("time", 0.0))
 
 
 @dataclass(frozen=True)
@@ -491,7 +468,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             check_picture_size(view, camera, clip.path, clip.size, notes)
         if "background" in view.files:
             check_background(view, camera, found[0].size if found else None)
-    pixels = _choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
+    pixels = settings.get("keypoint_pixels", "calibration")
     lag = settings.get("keypoint_lag", 0)
     stored = [found[0].size if found and view.source else None for view, found in zip(views, clips, strict=True)]
     blind = [v.name for v in views if "keypoints" in v.files and v.source is None]
@@ -521,7 +498,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     check_keypoints(keypoints, names, rig, range(-lag, n_frames - lag), stored)
     frame_range = None
     if "frame_range" in settings:
-        first, stop = _numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
+        first, stop = settings["frame_range"]
         if not 0 <= first < stop <= n_frames:
             raise InputError(
                 f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames "
@@ -529,14 +506,6 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
                 f"{n_frames}]."
             )
         frame_range = (first, stop)
-    for key, low, high, unit in (
-        ("subject_height", 0.4, 2.8, "metres"),
-        ("subject_mass", 2, 400, "kilograms"),
-    ):
-        if key in settings and not low <= settings[key] <= high:
-            raise InputError(
-                f"{where}: {key} = {settings[key]:g} is implausible; give it in {unit} ({low:g} to {high:g})."
-            )
     return Recording(
         folder=folder,
         name=settings.get("name", text_of(folder.resolve().name)),
@@ -623,22 +592,18 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
         paths[key] = path
-    if "video" in paths and "images" in paths:
-        raise InputError(f"{where}: video and images are both given; keep the one to use.")
-    if "depth" in paths and (others := sorted(paths.keys() & {"video", "images", "masks"})):
-        raise InputError(
-            f"{where}: depth and {', '.join(others)} are both given; a depth "
-            "camera is a view of its own, with its own camera in the calibration."
-        )
-    if not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}:
-        raise InputError(
-            f"{where}: neither video, images, depth, masks nor keypoints are given; add one of them, or remove the "
-            "view."
-        )
-    shift = _numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
-    return ViewSettings(
-        name, paths, image_shift=(float(shift[0]), float(shift[1])), accept_scaled=table.get("accept_scaled", False)
-    )
+    others = sorted(paths.keys() & {"video", "images", "masks"}) if "depth" in paths else []
+    faults = {
+        "video and images are both given; keep the one to use": {"video", "images"} <= paths.keys(),
+        f"depth and {', '.join(others)} are both given; a depth camera is a view of its own, with its own camera in "
+        "the calibration": others,
+        "neither video, images, depth, masks nor keypoints are given; add one of them, or remove the view": (
+            not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}
+        ),
+    }
+    refuse(f"{where}: ", faults)
+    shift = tuple(table.get("image_shift", (0.0, 0.0)))
+    return ViewSettings(name, paths, image_shift=shift, accept_scaled=table.get("accept_scaled", False))
 
 
 def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]) -> tuple[Path, CameraRig]:
@@ -659,10 +624,9 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
             "file with "
             'calibration = "...".'
         )
-    unit = _choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
-    rig, found = read_any(path, unit)
+    rig, found = read_any(path, settings.get("calibration_unit", "auto"))
     notes += found
-    up = _choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
+    up = settings.get("world_up", "z")
     if up != "z":
         turn = se3(rotation_between(_UP[up], _UP["z"]).T, np.zeros(3))
         rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ turn) for c in rig))

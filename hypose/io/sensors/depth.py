@@ -9,10 +9,8 @@ import contextlib
 import importlib
 import itertools
 import os
-import struct
 import time
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +24,18 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.file_names import utf8_path
-from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, write_bytes
-from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
-from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, is_cut_png, list_images, sequence_numbers
+from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, utf8_path, write_bytes
+from hypose.io.videos.video import (
+    CameraImage,
+    CameraSource,
+    Played,
+    StreamEnded,
+    VideoReader,
+    decode,
+    list_images,
+    png_header,
+    sequence_numbers,
+)
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
@@ -63,16 +69,13 @@ def read_depth_png(path: str | Path) -> DepthMap:
     Raises: InputError where the file is not such a PNG, too large or damaged.
     """
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
-    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
-        raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
+    width, height, *kind = png_header(data)
+    if kind != [16, 0] or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
         raise InputError(
-            f"{path} is a PNG of {width} x {height} with {bits} bits, colour type {colour}; depth maps are grey, 16 "
-            f"bit and at most {MAX_SIDE} x {MAX_SIDE}."
+            f"{path} is not a grey 16-bit PNG of at most {MAX_SIDE} x {MAX_SIDE} px; depth maps are such PNG, in "
+            "millimetres."
         )
-    cut = is_cut_png(data)
-    image = None if cut else cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    image = decode(data)
     if image is None or image.dtype != np.uint16 or image.shape != (height, width):
         raise InputError(f"{path} is a damaged PNG; write it again.")
     return np.where(image < _NOT_MEASURED, image, 0).astype(np.float32) / np.float32(1000)
@@ -300,8 +303,6 @@ ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 FOLDER_RATE = 30.0
 """Frames per second of a folder of depth maps, where none is given."""
-# Exceptions of a zip that is not a zip, cut off, or locked by a password.
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 # Largest unpacked size of one entry of a capture.
 _PACKED_BYTES = 64 * 2**20
 
@@ -420,7 +421,7 @@ def _record3d(path: Path) -> DepthFile:
     """Open a capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed with
     LZFSE.
     """
-    try:
+    with numbers_of(f"{path}, read as a Record3D capture that says its lens,"):
         archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
         about = parse_json(_unpacked(archive, "metadata"))
         k = [float(v) for v in about["K"]]
@@ -429,12 +430,6 @@ def _record3d(path: Path) -> DepthFile:
         sx, sy = width / int(about["w"]), height / int(about["h"])
         lens = k[0] * sx, k[4] * sy, (k[6] + 0.5) * sx - 0.5, (k[7] + 0.5) * sy - 0.5
         rate = float(about.get("fps", 60))
-    except (OSError, *_DAMAGED, LookupError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
-        reason = str(error)[:100]
-        raise InputError(
-            f"{path} is no Record3D capture that says its lens and size, or is cut off ({reason}); share it again with "
-            "a newer Record3D."
-        ) from None
     usable = 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 1 <= rate <= 1000
     if not (usable and np.isfinite(lens).all() and min(lens[:2]) > 0):
         raise InputError(

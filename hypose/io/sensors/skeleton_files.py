@@ -1,5 +1,6 @@
-"""Files of recorded skeletons: hypose's own folder (session.json, frames.csv, skeleton.csv, depth maps) and other
-formats.
+"""Skeletons of depth sensors: streams, the line protocol, and files of all known formats.
+
+Hypose's own format is a folder with session.json, frames.csv, skeleton.csv and depth maps.
 
 session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "reference": SENSOR, "clock": "common" or
   "own", "sensors": [{"name": ..., "joints": [names], "unit": "m" or "mm" (default m), "depth": {"intrinsics":
@@ -13,39 +14,581 @@ skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; absent r
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
+from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints, SensorReport, clean_joints
 from hypose.geometry import Array, so3_exp
-from hypose.io.file_names import text_of
 from hypose.io.files import (
     MAX_TEXT_BYTES,
     RecordingFolder,
+    bounded_lines,
     csv_rows,
     numbers_of,
     read_json,
     text_lines,
+    text_of,
     write_text,
 )
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import read_depth_png, sample_depth
-from hypose.io.sensors.skeleton_streams import (
-    MAX_JOINTS,
-    MISSING_MARK,
-    SKELETON_UNITS,
-    SkeletonRecording,
-    StreamRows,
-    checked_recording,
-    read_lines,
-)
+from hypose.json_text import parse_json
+
+# ---- streams of sensors ----------------------------------------------------------------------------------------------
+# One stream per sensor, and all streams at the same instants. Common faults of sensors are corrected here, with a note:
+# rows out of order, clocks that jump back, people whose number changes.
+
+
+MAX_SENSORS = 16
+MAX_PEOPLE = 16
+"""Largest number of people that one sensor may report at a time."""
+MAX_JOINTS = 64
+SKELETON_UNITS = {"m": 1.0, "mm": 0.001}
+"""Metres per unit of positions."""
+REORDER_S = 0.2
+"""A time that is further back than this, s, means that the clock was set back; otherwise the row came late."""
+_SLOWEST_S = 5.0  # largest usual step of a sensor, s: a larger one means that milliseconds were given as seconds
+
+
+@dataclass(frozen=True)
+class SensorStream:
+    """Skeletons of one sensor at T instants, with at most P people at a time and J joints.
+
+    times: (T,) s, increasing.
+    positions: (T, P, J, 3) in the sensor's frame, m; NaN where missing.
+    state: (T, P, J) 0 not tracked, 1 inferred, 2 tracked.
+    person_ids: (T, P) the sensor's number of the person; -1 for none. A person keeps the column while it is seen.
+    joint_names: J names.
+    joint_depth: (T, P, J) depth map at the joint's pixel, m, 0 for a hole; None without depth maps.
+    """
+
+    name: str
+    times: Array
+    positions: Array
+    state: NDArray[np.uint8]
+    person_ids: NDArray[np.int64]
+    joint_names: tuple[str, ...]
+    joint_depth: Array | None = None
+
+    @property
+    def rate(self) -> float:
+        """Number of instants per second, Hz, from the median time step; 30 for a single instant."""
+        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 30.0
+
+    @property
+    def people(self) -> int:
+        """Largest number of people at a time."""
+        return self.positions.shape[1]
+
+
+@dataclass(frozen=True)
+class SkeletonRecording:
+    """The streams of all sensors of one recording.
+
+    reference: name of the sensor whose frame the result uses.
+    inputs: path of each file by a short name, for the provenance.
+    notes: sentences about corrected faults.
+    common_clock: all sensors' times are from one clock.
+    """
+
+    name: str
+    streams: tuple[SensorStream, ...]
+    reference: str
+    inputs: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+    common_clock: bool = True
+
+    def stream(self, name: str) -> SensorStream:
+        """Get the stream of a sensor by name.
+
+        Raises: InputError where there is no such sensor; it lists the names.
+        """
+        found = {s.name: s for s in self.streams}
+        if name not in found:
+            raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {', '.join(found)}.")
+        return found[name]
+
+    def reports(self) -> Iterator[SensorReport]:
+        """Yield all reports one by one in order of time, as they would arrive live."""
+        for time, k, n in sorted((float(t), k, n) for k, s in enumerate(self.streams) for n, t in enumerate(s.times)):
+            s = self.streams[k]
+            seen = np.flatnonzero(s.person_ids[n] >= 0)
+            if not len(seen):
+                yield SensorReport(s.name, time, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))
+            for p in seen:
+                yield SensorReport(
+                    s.name, time, int(s.person_ids[n, p]), s.joint_names, s.positions[n, p], s.state[n, p]
+                )
+
+
+# ---- from rows to streams ----------------------------------------------------------------------------------
+
+
+@dataclass
+class StreamRows:
+    """Bodies that one sensor reported, in the order of arrival, from which a stream is built.
+
+    name: name of the sensor.
+    joint_names: J names.
+    times, ids: time (s) and number of the person of each body.
+    positions, state: (J, 3) m and (J,) of each body, as in `SensorStream`.
+    joint_depth: (J,) depth map at the joints' pixels of each body, m; empty where the sensor has no depth maps.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    times: list[float] = field(default_factory=list)
+    ids: list[int] = field(default_factory=list)
+    positions: list[Array] = field(default_factory=list)
+    state: list[NDArray[np.uint8]] = field(default_factory=list)
+    joint_depth: list[Array] = field(default_factory=list)
+    empty: list[float] = field(default_factory=list)
+    """Times at which the sensor saw no person."""
+
+    def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
+        """Append one body.
+
+        time: s.
+        person: the sensor's number of the person.
+        positions: (J, 3) m.
+        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
+        """
+        self.times.append(time)
+        self.ids.append(person)
+        self.positions.append(np.asarray(positions, dtype=np.float64))
+        self.state.append(np.asarray(state, dtype=np.uint8))
+
+
+def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
+    """Build a stream with increasing times from the bodies of a sensor, at least one.
+
+    A body that is less than 0.2 s late is sorted in. A single time far ahead of its neighbours is removed. After a
+    clock was set back, time continues with the sensor's usual step.
+
+    where: the recording, for the error messages.
+    Returns: the stream, and notes about corrected faults.
+    Raises: InputError where there are too many people, or times or positions that cannot be correct.
+    """
+    notes: list[str] = []
+    arrival = np.array(rows.times)
+    forward = np.diff(np.unique(arrival[np.isfinite(arrival)]))
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    faults = {
+        f"a time of the sensor {rows.name} is not a number; times are seconds": not (
+            np.isfinite([*rows.times, *rows.empty]).all()
+        ),
+        f"the frames of the sensor {rows.name} lie {usual:g} s apart, and times are seconds; divide milliseconds by "
+        "1000": usual > _SLOWEST_S,
+        f"the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged": any(
+            not -(2**63) <= person < 2**63 for person in rows.ids
+        ),
+    }
+    refuse(f"{where}: ", faults)
+    repaired, keep, clock_notes = repair_clock(arrival)
+    notes += [f"{rows.name}: {text}" for text in clock_notes]
+    order = np.flatnonzero(keep)[np.argsort(repaired[keep], kind="stable")]
+    empty = np.array(rows.empty) if not clock_notes else np.zeros(0)
+    instants, first = np.unique(np.concatenate([repaired[order], empty]), return_inverse=True)
+    present: list[dict[int, int]] = [{} for _ in instants]
+    for i, at in zip(order.tolist(), first[: len(order)].tolist(), strict=True):
+        present[at][rows.ids[i]] = i
+    if doubled := len(order) - sum(map(len, present)):
+        notes.append(f"{rows.name}: {doubled} bodies came twice for the same person and time; the last one counts")
+    columns = _columns([list(p) for p in present])
+    people = max((c + 1 for row in columns for c in row.values()), default=1)
+    if people > MAX_PEOPLE:
+        raise InputError(f"{where}: the sensor {rows.name} reports {people} persons at once; at most {MAX_PEOPLE}.")
+    t, j = len(instants), len(rows.joint_names)
+    positions = np.full((t, people, j, 3), np.nan)
+    state = np.zeros((t, people, j), dtype=np.uint8)
+    ids = np.full((t, people), -1, dtype=np.int64)
+    depth = np.zeros((t, people, j))
+    for n, (bodies, column) in enumerate(zip(present, columns, strict=True)):
+        for person, i in bodies.items():
+            c = column[person]
+            positions[n, c], state[n, c], ids[n, c] = rows.positions[i], rows.state[i], person
+            if rows.joint_depth:
+                depth[n, c] = rows.joint_depth[i]
+    positions, state = clean_joints(positions, state, f"{where}, sensor {rows.name}", rows.joint_names)
+    return SensorStream(
+        rows.name, instants, positions, state, ids, rows.joint_names, depth if rows.joint_depth else None
+    ), tuple(notes)
+
+
+def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
+    """Assign people to columns at every instant: the same column while a person is seen, else the lowest free one.
+
+    present: numbers of the people at each instant.
+    Returns: column of each person by number, at each instant.
+    """
+    out: list[dict[int, int]] = []
+    for people in present:
+        now = {p: c for p, c in out[-1].items() if p in people} if out else {}
+        for p in people:
+            if p not in now:
+                now[p] = next(c for c in range(len(now) + 1) if c not in now.values())
+        out.append(now)
+    return out
+
+
+def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    """Correct faults in the times of a sensor: late rows, single wrong stamps and clocks that were set back.
+
+    times: (T,) s, in the order of arrival.
+    Returns: times (T,) on one clock, which rows to keep (T,), and notes.
+    """
+    t = np.array(times, dtype=np.float64)
+    keep = np.ones(len(t), dtype=bool)
+    notes: list[str] = []
+    if len(t) < 2:
+        return t, keep, ()
+    forward = np.diff(t)
+    usual = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1 / 30
+    # one time stamp far ahead of regular neighbours is a wrong stamp, not a changed clock
+    ahead = np.zeros(len(t), dtype=bool)
+    ahead[1:-1] = (t[1:-1] > t[2:] + REORDER_S) & (t[2:] >= t[:-2]) & (t[2:] - t[:-2] < 10 * usual + REORDER_S)
+    keep &= ~ahead
+    if ahead.any():
+        notes.append(f"{int(ahead.sum())} rows with a time far ahead of their neighbours were left out")
+    rows = np.flatnonzero(keep)
+    shift, latest, jumps, late = 0.0, t[rows[0]], 0, 0
+    for i in rows[1:].tolist():
+        value = t[i] + shift
+        if value < latest - REORDER_S:
+            shift += latest + usual - value
+            value = latest + usual
+            jumps += 1
+        late += value < latest
+        t[i], latest = value, max(latest, value)
+    if jumps:
+        notes.append(
+            f"the clock was set back {jumps} time(s); time goes on with the usual step of {usual * 1000:.0f} ms"
+        )
+    if late:
+        notes.append(f"{late} rows came late and were sorted in")
+    return t, keep, tuple(notes)
+
+
+# ---- the same instants for all -------------------------------------------------------------------------------
+
+
+def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> Array:
+    """Compute evenly spaced instants from the first sensor's start to the last sensor's end.
+
+    streams: streams of all sensors, on one clock.
+    rate: Hz; by default that of the first stream, rounded to a whole number when it is within 5 %.
+    Returns: (N,) s.
+    Raises: InputError where the rate is out of range or the span is too long.
+    """
+    if rate is None:
+        rate = streams[0].rate
+        rate = float(round(rate)) if abs(rate - round(rate)) < 0.05 * rate and round(rate) > 0 else rate
+    if not 0.1 <= rate <= 1000:
+        raise InputError(f"A rate of {rate:g} Hz is not possible; give 0.1 to 1000 with --rate.")
+    start, stop = min(s.times[0] for s in streams), max(s.times[-1] for s in streams)
+    count = int(np.floor((stop - start) * rate + 1e-6)) + 1
+    if count > 10_000_000:
+        raise InputError(
+            f"The sensors' times span {(stop - start) / 3600:.1f} hours, too much for one recording; they seem to be "
+            'on different clocks: say so with "clock": "own" in session.json.'
+        )
+    return start + np.arange(count) / rate
+
+
+def resample(stream: SensorStream, times: ArrayLike) -> SensorStream:
+    """Interpolate a stream linearly at other instants.
+
+    Nothing is interpolated over a gap longer than 3.2 steps of the stream, or between samples of different people. A
+    joint that only one of the two samples has is kept for half a step. The state is the lower of the two.
+
+    times: (N,) s.
+    Returns: stream with N instants.
+    """
+    at = np.asarray(times, dtype=np.float64)
+    step = 1 / stream.rate
+    after = np.searchsorted(stream.times, at, side="right")
+    i, k = np.clip(after - 1, 0, None), np.clip(after, None, len(stream.times) - 1)
+    before_first = after == 0
+    span = stream.times[k] - stream.times[i]
+    w = np.where(span > 0, (at - stream.times[i]) / np.where(span > 0, span, 1.0), 0.0)
+    a, b = stream.positions[i], stream.positions[k]
+    near_a = np.abs(at - stream.times[i]) <= step * 0.5 + 1e-9
+    near_b = np.abs(at - stream.times[k]) <= step * 0.5 + 1e-9
+    exact = np.abs(at - stream.times[i]) <= 1e-9
+    same = (stream.person_ids[i] == stream.person_ids[k]) & ((span > 0) & (span <= 3.2 * step))[:, None]
+    wide = w[:, None, None, None]
+    between = a + wide * (b - a)
+    both = same[..., None] & np.isfinite(between).all(-1)
+    # alone: the nearer sample, for half a step
+    use_a = (near_a & (w < 0.5) & ~before_first | exact)[:, None]
+    use_b = (near_b & ((w >= 0.5) | before_first))[:, None]
+    alone_a = use_a[..., None] & ~both
+    alone_b = use_b[..., None] & ~both & ~alone_a
+    positions = np.where(both[..., None], between, np.nan)
+    positions = np.where(alone_a[..., None], a, np.where(alone_b[..., None], b, positions))
+    state = np.where(both, np.minimum(stream.state[i], stream.state[k]), 0)
+    state = np.where(alone_a, stream.state[i], np.where(alone_b, stream.state[k], state)).astype(np.uint8)
+    ids = np.where(same | use_a, stream.person_ids[i], np.where(use_b, stream.person_ids[k], -1))
+    depth = None
+    if stream.joint_depth is not None:
+        # depth maps are not interpolated: at an edge, that would create a surface that does not exist
+        nearest = np.where(w < 0.5, i, k)
+        depth = np.where(np.isfinite(positions).all(-1), stream.joint_depth[nearest], 0.0)
+    missing = ~np.isfinite(positions).all(-1)
+    state[missing] = 0
+    return SensorStream(stream.name, at, positions, state, ids, stream.joint_names, depth)
+
+
+def join_observations(
+    synced: Sequence[SensorStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
+) -> list[SensorJoints]:
+    """Combine one person's skeletons of all sensors at every instant.
+
+    synced: streams at the same instants.
+    times: (N,) s.
+    columns: per sensor (N,) column of the person; -1 where not seen.
+    Returns: N observations of all sensors.
+    """
+    at = np.asarray(times, dtype=np.float64)
+    rows = np.arange(len(at))
+    own = [np.maximum(c, 0) for c in columns]
+    visible = [(c >= 0) & (s.state[rows, k] > 0).any(1) for s, c, k in zip(synced, columns, own, strict=True)]
+
+    def stacked(values: Sequence[np.ndarray], hidden: float) -> np.ndarray:
+        """Stack arrays (T, ...) of the sensors; `hidden` where a sensor does not see the person."""
+        shown = (v.reshape(-1, *[1] * (a.ndim - 1)) for v, a in zip(visible, values, strict=True))
+        return np.stack([np.where(v, a, hidden) for v, a in zip(shown, values, strict=True)], 1)
+
+    p = stacked([s.positions[rows, k] for s, k in zip(synced, own, strict=True)], np.nan)
+    q = stacked([s.state[rows, k] for s, k in zip(synced, own, strict=True)], 0).astype(np.uint8)
+    t = stacked([at] * len(synced), np.nan)
+    known = [s.joint_depth[rows, k] for s, k in zip(synced, own, strict=True) if s.joint_depth is not None]
+    d = stacked(known, 0.0) if len(known) == len(synced) else [None] * len(at)
+    names, joints = tuple(s.name for s in synced), synced[0].joint_names
+    return [SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=d[n]) for n in range(len(at))]
+
+
+def shifted(stream: SensorStream, seconds: float) -> SensorStream:
+    """Copy a stream with `seconds` added to all its times."""
+    return replace(stream, times=stream.times + seconds)
+
+
+def checked_recording(
+    name: str,
+    rows: Sequence[StreamRows],
+    where: str,
+    inputs: Mapping[str, Path],
+    *,
+    reference: str | None = None,
+    common_clock: bool = True,
+) -> SkeletonRecording:
+    """Build a recording from the bodies of its sensors; sensors that saw no person are left out, with a note.
+
+    rows: bodies of each sensor.
+    where: the recording, for the error messages.
+    inputs: path of each file by a short name.
+    reference: sensor whose frame the result uses; the first by default.
+    common_clock: all sensors' times are from one clock.
+    Raises: InputError where there is no skeleton, there are too many sensors, or the reference has no skeleton.
+    """
+    if len(rows) > MAX_SENSORS:
+        raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
+    streams, found = [], [f"{r.name}: no person was seen, the sensor is left out" for r in rows if not r.times]
+    if len(found) == len(rows):
+        raise InputError(f"{where} holds no skeleton; give a recording in which a person was seen.")
+    for r in (r for r in rows if r.times):
+        stream, more = build_stream(r, where)
+        streams.append(stream)
+        found += more
+    if reference is not None and reference not in [s.name for s in streams]:
+        raise InputError(
+            f"{where} names the reference sensor {reference!r}, which has no skeleton; choose one of "
+            f"{', '.join(s.name for s in streams)}."
+        )
+    return SkeletonRecording(
+        name, tuple(streams), reference or streams[0].name, dict(inputs), tuple(found), common_clock
+    )
+
+
+# ---- skeleton lines ------------------------------------------------------------------------------------------------
+# The line protocol for skeletons: one JSON object per line, recorded (.jsonl) or live (docs/live.md).
+#
+#     {"sensor": "left", "time": 12.345, "person": 0, "joints": {"head": [0.1, 0.6, 2.4], "neck": null, ...}}
+#
+# sensor: 1-32 of A-Z a-z 0-9 _ . -; time: s on the sensor's own clock; person: the sensor's number of the person (0
+# when left out); joints: every joint of the sensor's set by name, [x, y, z] or [x, y, z, state] in metres in the
+# sensor's frame (state 0 not tracked, 1 inferred, 2 tracked), null = missing. "joints": null says that the sensor
+# sees no person. "unit": "mm" divides by 1000. "token" and "received" (s on the host's clock) are for the live server
+# and for what it records.
+
+
+MAX_SKELETON_LINE = 16384
+"""Largest size of one line, bytes; 32 joints with all digits take 3 KiB."""
+_KNOWN = frozenset({"sensor", "time", "person", "joints", "unit", "token", "received", "v"})
+_SENSOR = re.compile(r"[A-Za-z0-9_.-]{1,32}")
+_JOINT = re.compile(r"[A-Za-z0-9_ .-]{1,48}")
+_NUMBERS = frozenset({float, int})
+_MISSING = [math.nan, math.nan, math.nan, 0]
+
+
+def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
+    """Parse one line of the skeleton protocol.
+
+    Returns: the report, and the token in the line, "" without one.
+    Raises: InputError where the line is not valid.
+    Why: the limit of 16 KiB per line bounds time and memory.
+    """
+    if len(data) > MAX_SKELETON_LINE:
+        raise InputError(
+            f"the line has {len(data)} bytes, at most {MAX_SKELETON_LINE} are read; send one body per line"
+        )
+    try:
+        value = parse_json(data)
+    except (ValueError, RecursionError):  # bad UTF-8 is a ValueError as well
+        raise InputError("the line is no JSON; send one JSON object per line, in UTF-8") from None
+    if not isinstance(value, dict):
+        raise InputError('the line is no JSON object; it must look like {"sensor": ..., "time": ..., "joints": {...}}')
+    if unknown := value.keys() - _KNOWN:
+        raise InputError(f"there is no field {min(unknown)[:40]!r}; the fields are {', '.join(sorted(_KNOWN))}")
+    sensor, token, unit = value.get("sensor"), value.get("token", ""), value.get("unit", "m")
+    joints, person = value.get("joints", ...), value.get("person", 0)
+    faults = {
+        "sensor must be a name of 1 to 32 letters, digits, _ . -": not (
+            isinstance(sensor, str) and _SENSOR.fullmatch(sensor)
+        ),
+        "token must be text": not isinstance(token, str),
+        "unit must be m or mm": not isinstance(unit, str) or unit not in SKELETON_UNITS,
+        "person must be a whole number from 0": not (
+            isinstance(person, int) and not isinstance(person, bool) and 0 <= person < 2**63
+        ),
+        f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when no person is seen": not (
+            joints is None or (isinstance(joints, dict) and 1 <= len(joints) <= MAX_JOINTS)
+        ),
+    }
+    if found := [fault for fault, there in faults.items() if there]:
+        raise InputError(found[0])
+    time = _number(value.get("time"), "time")
+    received = None if value.get("received") is None else _number(value["received"], "received")
+    if not isinstance(joints, dict):  # null: no person is seen
+        empty = np.zeros((0, 3))
+        return SensorReport(str(sensor), time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
+    names = tuple(joints)
+    _check_names(names)
+    return SensorReport(str(sensor), time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
+
+
+@lru_cache(maxsize=64)
+def _check_names(names: tuple[str, ...]) -> None:
+    """Check the names of joints; cached, because a sensor sends the same names in every line."""
+    for name in names:
+        if not _JOINT.fullmatch(name):
+            raise InputError("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
+
+
+def _positions(joints: Mapping[str, Any], scale: float) -> tuple[Array, NDArray[np.uint8]]:
+    """Convert the cells of all joints at once to positions (J, 3), m, and states (J,).
+
+    joints: cells of each joint by name, as the protocol has them.
+    scale: metres per unit.
+    Raises: InputError where a cell is not valid.
+    Why: a line of 15 joints is parsed 540 times a second live, and cell by cell it takes three times as long.
+    """
+    rows = [_MISSING if c is None else [*c, 2] if type(c) is list and len(c) == 3 else c for c in joints.values()]
+    flat = list(chain.from_iterable(r if type(r) is list and len(r) == 4 else ("",) for r in rows))
+    if not _NUMBERS.issuperset(map(type, flat)):
+        raise InputError("each joint must be [x, y, z], [x, y, z, state] or null, and hold numbers")
+    try:
+        table = np.array(flat, dtype=np.float64).reshape(-1, 4)
+    except OverflowError:
+        raise InputError("a joint holds an integer that is too large") from None
+    positions, level = table[:, :3] * scale, table[:, 3]
+    if not ((level == 0) | (level == 1) | (level == 2)).all():
+        raise InputError("the state of a joint must be 0, 1 or 2")
+    missing = (level == 0) | (table[:, :3] <= MISSING_MARK).any(1) | np.isnan(positions).any(1)
+    far = ~missing & (np.abs(positions) > FARTHEST_M).any(1)
+    if far.any():
+        name = list(joints)[int(far.argmax())]
+        raise InputError(
+            f'the joint {name} lies beyond {FARTHEST_M:.0f} m; say "unit": "mm" if the sensor reports millimetres'
+        )
+    positions[missing] = np.nan
+    return positions, np.where(missing, 0, level).astype(np.uint8)
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
+        raise InputError(f"{name} must be a number of seconds")
+    return float(value)
+
+
+def format_line(line: SensorReport) -> str:
+    """Format a report as a line of the skeleton protocol, in steps of 0.01 mm, without its line end."""
+    value: dict[str, Any] = {"sensor": line.sensor, "time": round(line.time, 6)}
+    if line.arrival is not None:
+        value["received"] = round(line.arrival, 6)
+    if line.person is None:
+        value["joints"] = None
+    else:
+        value["person"] = line.person
+        value["joints"] = {
+            n: [*(round(x, 5) for x in p), s] if s and not any(map(math.isnan, p)) else None
+            for n, p, s in zip(line.joint_names, line.positions.tolist(), line.state.tolist(), strict=True)
+        }
+    return json.dumps(value, separators=(",", ":"))
+
+
+def read_lines(source: Source) -> SkeletonRecording:
+    """Read a file of protocol lines (.jsonl or .jsonl.gz), in the order of arrival.
+
+    Each line has its sensor's own time. Where the time ranges of sensors do not overlap, their clocks are separate
+    (`common_clock` False).
+
+    Raises: InputError where a line is not valid.
+    """
+    p, sensors = source.path, dict[str, StreamRows]()
+    for number, text in enumerate(bounded_lines(p, "skeletons as JSON lines", line_limit=MAX_SKELETON_LINE), start=1):
+        if not text.strip():
+            continue
+        try:
+            line, _ = parse_line(text)
+        except InputError as error:
+            raise InputError(f"{p}: line {number}: {error}.") from None
+        rows = sensors.get(line.sensor)
+        if rows is None:
+            if line.person is None:
+                continue  # no person yet: its joints are not known
+            rows = sensors[line.sensor] = StreamRows(line.sensor, line.joint_names)
+        if line.person is None:
+            rows.empty.append(line.time)
+            continue
+        positions, state = line.positions, line.state
+        if line.joint_names != rows.joint_names:
+            if set(line.joint_names) != set(rows.joint_names):
+                raise InputError(
+                    f"{p}: line {number}: the sensor {line.sensor} reports {len(line.joint_names)} joints, before it "
+                    f"reported {len(rows.joint_names)} (others); name every joint of its set in each line."
+                )
+            order = [line.joint_names.index(n) for n in rows.joint_names]
+            positions, state = positions[order], state[order]
+        rows.add(line.time, line.person, positions, state)
+    title = p.name.removesuffix(".gz").rsplit(".", 1)[0]
+    spans = sorted((min(t), max(t)) for rows in sensors.values() if (t := [*rows.times, *rows.empty]))
+    ends = accumulate((end for _, end in spans), max)
+    together = all(begin <= end for (begin, _), end in zip(spans[1:], ends, strict=False))
+    return checked_recording(title, list(sensors.values()), str(p), {p.name: p}, common_clock=together)
+
 
 _FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
@@ -138,8 +681,6 @@ def _read_frame(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]
         number, time = int(cells[1]), float(cells[2])
     if number in sensor.times:
         raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
-    if not math.isfinite(time):
-        raise InputError(f"{where}: the time is not a number.")
     sensor.times[number] = time
     if "".join(cells[3:4]):
         sensor.depth[number] = cells[3]
@@ -321,8 +862,6 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
             person = int(float(cells[person_column])) if person_column is not None else 0
             values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
             turn = np.array([float(cells[i]) for i in turned])
-        if not math.isfinite(time):
-            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
         name = cells[sensor_column]
         if len(turn) == 2:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
@@ -347,30 +886,28 @@ def read_azure(source: Source) -> SkeletonRecording:
 
     Raises: InputError where a file is not of this format.
     """
-    paths = source.files(".json")
-    sensors, inputs = [_azure_rows(p) for p in paths], {p.name: p for p in paths}
-    return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
+    paths, sensors = source.files(".json"), []
+    for path in paths:
+        with numbers_of(str(path)):
+            value = _json(path)
+            rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
+            frames = list(value["frames"])
+        for i, frame in enumerate(frames):
+            with numbers_of(f"{path}, frame {i}"):
+                time = float(frame["timestamp_usec"]) * 1e-6
+                for body in frame["bodies"]:
+                    xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
+                    state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
+                    rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
+                if not frame["bodies"]:
+                    rows.empty.append(time)
+        sensors.append(rows)
+    inputs, name = {p.name: p for p in paths}, text_of(paths[0].stem)
+    return checked_recording(name, sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 
 def _json(path: Path) -> Any:
     return read_json(path, "recorded skeletons", MAX_TEXT_BYTES)
-
-
-def _azure_rows(path: Path) -> StreamRows:
-    with numbers_of(str(path)):
-        value = _json(path)
-        rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
-        frames = list(value["frames"])
-    for i, frame in enumerate(frames):
-        with numbers_of(f"{path}, frame {i}"):
-            time = float(frame["timestamp_usec"]) * 1e-6
-            for body in frame["bodies"]:
-                xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
-                state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
-                rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
-            if not frame["bodies"]:
-                rows.empty.append(time)
-    return rows
 
 
 # ---- skeleton formats ----------------------------------------------------------------------------------------------

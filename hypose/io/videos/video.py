@@ -1,8 +1,9 @@
-"""Videos and image folders: reading by exact frame number, counting of frames, writing; the sound of a video.
+"""Videos and image folders: reading by exact frame number, counting of frames, writing; sound of videos; live cameras.
 
 The number of frames in a container is often wrong (capture software that adds two, files cut off during copying). So it
 is checked by decoding the last frame, and counted when that fails. Seeking with cv2.CAP_PROP_POS_FRAMES is not exact
-for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact.
+for all codecs and frame rates, so going back opens the file again and decodes forward: slower, but always exact. A
+reader for a user who drags along a timeline seeks (`VideoReader.jumps`) where that was found to be exact in the video.
 """
 
 from __future__ import annotations
@@ -13,22 +14,22 @@ import re
 import shutil
 import struct
 import subprocess
+import time
 import wave
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError, refuse
 from hypose.geometry import Array, Image
-from hypose.io.file_names import natural_key, utf8_path
-from hypose.io.files import atomic_path, open_file, read_bytes
+from hypose.io.files import atomic_path, natural_key, open_file, read_bytes, utf8_path
 
 # Suppresses FFmpeg's own messages between those of hypose; OpenCV reads this when it first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -50,6 +51,8 @@ _CODECS = {
 }
 # A video is read frame by frame when its time stamps would need more than this many times its number of frames.
 _MOST_REPEATS = 4
+_DECODED_AHEAD, _TRIAL = 24, 10
+"""Frames ahead that are faster decoded than reached by seeking, and the frame on which seeking is tested."""
 # Codecs whose stored packets are one frame each, so that counting packets counts frames.
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
 
@@ -73,49 +76,51 @@ def read_image_file(path: Path) -> bytes:
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
-def is_cut_png(data: bytes) -> bool:
-    """Test whether data are a PNG that is cut off, with chunks longer than the data.
+def png_header(data: bytes) -> tuple[int, int, int, int]:
+    """Read width, height, bits per value and colour type (0 grey, 3 palette) of a PNG; zeros for other data."""
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+        return 0, 0, 0, 0
+    return struct.unpack(">IIBB", data[16:26])
 
-    Why: OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a damaged file of a kilobyte.
-    """
-    if not data.startswith(PNG_SIGNATURE):
-        return False
-    at, kind = len(PNG_SIGNATURE), b""
+
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Split a PNG into chunks: the kind and the whole of each, up to the last that the data hold completely."""
+    at = len(PNG_SIGNATURE)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
-        at += 12 + length
-        if kind == b"IEND":
-            break
-    return at > len(data) or kind != b"IEND"
+        begin, at = at, at + 12 + length
+        if at <= len(data):
+            yield kind, data[begin:at]
+
+
+def decode(data: bytes, how: int = cv2.IMREAD_UNCHANGED) -> NDArray[Any] | None:
+    """Decode an image; None where it is no image, or damaged.
+
+    how: OpenCV's flag for the conversion of colours.
+    Why: of a PNG that is cut off, OpenCV (from 4.11) allocates the size that a chunk states, half a gigabyte for a
+        damaged file of a kilobyte.
+    """
+    if data.startswith(PNG_SIGNATURE) and b"IEND" not in dict(png_chunks(data)):
+        return None
+    with quiet(), contextlib.suppress(cv2.error):
+        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), how)
 
 
 def read_image(path: str | Path) -> Image:
-    """Read an image file as (h, w, 3) uint8 BGR.
+    """Read an image file as (h, w, 3) uint8 BGR. A grey one of 16 bits counts as a depth map: near is bright, holes are
+    black.
 
     Raises: InputError where the file does not exist or is damaged.
     """
-    path = Path(path)
-    data = read_image_file(path)
-    with quiet():
-        try:
-            image = None if is_cut_png(data) else _in_colours(np.frombuffer(data, dtype=np.uint8))
-        except cv2.error:
-            image = None
+    data = read_image_file(Path(path))
+    depth = png_header(data)[2:] == (16, 0)
+    image = decode(data, cv2.IMREAD_UNCHANGED if depth else cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(f"{path} is not an image or is damaged; replace it with a PNG or JPEG file.")
+    if depth:
+        shade = np.where(image > 0, np.clip(255 - image.astype(np.float32) * (200 / 6000), 40, 255), 0)
+        image = np.repeat(shade.astype(np.uint8).reshape(*image.shape[:2], -1)[..., :1], 3, 2)
     return np.asarray(image, dtype=np.uint8)
-
-
-def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """Decode an image in colours. A grey one of 16 bits counts as a depth map: near is bright, holes are black."""
-    # the header of a 16-bit PNG says so; everything else is decoded as it is
-    if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
-        return cv2.imdecode(data, cv2.IMREAD_COLOR)
-    levels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if levels is None or levels.ndim != 2:
-        return None
-    shade = np.where(levels > 0, np.clip(255 - levels.astype(np.float32) * (200 / 6000), 40, 255), 0)
-    return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -174,6 +179,7 @@ class VideoReader:
     n_frames: number of frames that can be decoded.
     stated_frames: number of frames that the container states.
     position: index of the frame that comes next.
+    jumps: frames far away are reached by seeking, where that is exact in this video; False after opening.
     is_sequence: whether the frames are image files.
     """
 
@@ -182,7 +188,7 @@ class VideoReader:
         self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
-        self.position, self._decoded = 0, 0
+        self.position, self._decoded, self.jumps = 0, 0, False
         self._memory: Image | None = None  # of the last frame
         self.is_sequence = self._images is not None
         self.size, self.frame_rate, self.stated_frames, self.n_frames = _about(path)
@@ -216,9 +222,11 @@ class VideoReader:
         """
         if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
             return
-        if number < self._decoded:
+        if self.jumps and not 0 <= number - self._decoded <= _DECODED_AHEAD and self._seeks_exactly:
+            self._opened().set(cv2.CAP_PROP_POS_FRAMES, number)
+            self._decoded, self._memory = number, None
+        elif number < self._decoded:
             self.close()
-            self._capture, self._decoded = None, 0
         while self._decoded < number:
             if not self._opened().grab():
                 raise self._broken()
@@ -240,15 +248,29 @@ class VideoReader:
         return self._advance(out)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; it is opened again, and decoded from its start, where a frame is read later."""
         if self._capture is not None:
             self._capture.release()
+        self._capture, self._decoded = None, 0
 
     def __enter__(self) -> VideoReader:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @cached_property
+    def _seeks_exactly(self) -> bool:
+        """Whether seeking to frame _TRIAL gives the frame that decoding gives."""
+        if count_frames(self.path) <= _TRIAL + 1:
+            return False
+        with _capturing(self.path) as forward, _capturing(self.path) as jumping:
+            for _ in range(_TRIAL):
+                forward.grab()
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, count_frames(self.path) - 1)  # first seek to another frame
+            jumping.set(cv2.CAP_PROP_POS_FRAMES, _TRIAL)
+            (_, true), (ok, found) = forward.read(), jumping.read()
+            return ok and np.array_equal(found, true)
 
     def _opened(self) -> cv2.VideoCapture:
         if self._capture is None:
@@ -270,7 +292,10 @@ class VideoReader:
             if number == self._decoded:
                 ok, frame = self._opened().read(out)
                 if not ok:
-                    raise self._broken()
+                    error = self._broken()
+                    if self.jumps:  # where the file stands now is not known
+                        self.close()
+                    raise error
                 self._memory = np.asarray(frame, dtype=np.uint8)
                 self._decoded += 1
             assert self._memory is not None
@@ -326,17 +351,18 @@ def frame_times(path: Path) -> Array | None:
     Returns: (T,) s from the first frame; None where there is not one increasing time stamp per frame.
     """
     about = path.stat()
-    return _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
-
-
-@lru_cache(maxsize=64)
-def _stamps(path: Path, size: int, changed: int) -> Array | None:
-    with _capturing(path, raw=True) as capture:
-        found = [capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 for _ in iter(capture.grab, False)]
-    times = np.sort(found)  # packets are stored in the order of decoding
+    times = _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
     if len(times) < 2 or len(times) != count_frames(path) or not (np.diff(times) > 0).all():
         return None
     return times - times[0]
+
+
+@lru_cache(maxsize=64)
+def _stamps(path: Path, size: int, changed: int) -> Array:
+    """Read the time stamps of all stored packets, in increasing order, s."""
+    with _capturing(path, raw=True) as capture:
+        found = [capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3 for _ in iter(capture.grab, False)]
+    return np.sort(found)  # packets are stored in the order of decoding
 
 
 def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
@@ -393,26 +419,13 @@ def _looked_into(path: Path, state: tuple[int, ...] | None) -> _About:
                 f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
                 "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
             )
-    by_packets = codec in _PICTURE_PER_PACKET
-    whole = stated > 0 and (by_packets and _holds_packets(path, stated) or _ends_with(path, stated))
+    packets = len(_stamps(path, *state[:2])) if state and codec in _PICTURE_PER_PACKET else 0
+    whole = stated > 0 and (packets == stated or _ends_with(path, stated))
     count = stated
     if not whole:
         with _capturing(path) as capture:
             count = sum(1 for _ in iter(capture.grab, False))
     return _About((first.shape[1], first.shape[0]), rate if 0 < rate < 100_000 else None, stated, count)
-
-
-def _holds_packets(path: Path, stated: int) -> bool:
-    """Test whether a video has the stated number of packets, without decoding.
-
-    It reads the position of the last key frame and counts the packets from there to the end.
-    """
-    with _capturing(path, raw=True) as capture:
-        capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
-        number = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
-        while number <= stated and capture.grab():
-            number += 1
-        return number == stated
 
 
 def _ends_with(path: Path, stated: int) -> bool:
@@ -479,13 +492,12 @@ class VideoWriter:
         self.frame_rate = float(frame_rate)
         self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
         self.n_frames = 0
-        if self.path.suffix.lower() not in _CODECS:
-            raise InputError(f"{self.path} cannot be written: name the video {', '.join(_CODECS)}.")
-        if not 0 < self.frame_rate < 10_000 or min(self.size) < 2:
-            raise InputError(
-                f"{self.path} cannot be written with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; "
-                "give a positive frame rate and at least 2 x 2 px."
-            )
+        faults = {
+            f": name the video {', '.join(_CODECS)}": self.path.suffix.lower() not in _CODECS,
+            f" with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; give a positive frame rate and at least 2 x "
+            "2 px": not 0 < self.frame_rate < 10_000 or min(self.size) < 2,
+        }
+        refuse(f"{self.path} cannot be written", faults)
         self._writer: cv2.VideoWriter | None = None
         self._closing = contextlib.ExitStack()
 
@@ -621,3 +633,189 @@ def _read_wav(path: Path) -> Sound:
     samples = np.frombuffer(data[:whole], kind).astype(np.float64)
     samples = (samples - 128) / 128 if width == 1 else samples / float(np.iinfo(kind).max)
     return Sound(int(rate), samples.reshape(-1, channels).mean(1))
+
+
+# ---- live cameras ----------------------------------------------------------------------------------------------------
+# Live cameras: devices of this computer, network streams, and files that are played at their own speed.
+#
+# A source gives images one after another, each with its time.
+
+
+class StreamEnded(HyposeError):
+    """The end of a source: a file is over, or a camera was disconnected and may come back."""
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """An image of a camera at one instant.
+
+    arrival: time of arrival, s of this computer's monotonic clock.
+    stamp: time of the camera's own clock, s; None where it sends none.
+    picture: (h, w, 3) uint8 BGR, or a depth map (h, w) float32 m.
+    """
+
+    arrival: float
+    stamp: float | None
+    picture: NDArray[Any]
+
+
+class CameraSource(Protocol):
+    """Interface of everything that delivers images.
+
+    live: the camera does not wait, and images that are not read are lost.
+    """
+
+    live: bool
+
+    def read(self) -> CameraImage:
+        """Wait for the next image, a few seconds at most, and return it.
+
+        Raises: StreamEnded where there is none.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the camera."""
+        ...
+
+
+def open_camera(
+    address: str, rate: float, size: tuple[int, int], begin: float | None = None, loop_s: float | None = None
+) -> CameraSource:
+    """Open a camera by its address.
+
+    address: number of a device (0), address of a stream (http://, https://, rtsp://), a video file or a folder of
+        pictures.
+    rate: frame rate requested from a device, or of a file that has none, Hz.
+    size: width and height requested from a device, px.
+    begin: time of a file's first picture, s of the monotonic clock, so that several files can start together; now by
+        default.
+    loop_s: period after which a file begins again, s, the same for all that belong together; None: it ends.
+    Raises: InputError where it cannot be opened.
+    """
+    if is_device(address):
+        return _device(int(address), rate, size)
+    if "://" in address:
+        return _stream(address)
+    if not Path(address).exists():
+        raise InputError(
+            f"There is no file {address}; a camera is the number of a device (0), an address (http://, rtsp://), a "
+            "video or a folder of pictures."
+        )
+    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin, loop_s)
+
+
+def is_device(address: str) -> bool:
+    """Test whether an address is the number of a camera of this computer."""
+    return address.isascii() and address.isdigit() and len(address) < 3  # OpenCV takes hundreds for back ends
+
+
+# ---- devices and streams that OpenCV reads ---------------------------------------------------------------------
+
+
+class _Captured:
+    """A camera that OpenCV reads: a device of this computer or a network stream."""
+
+    live = True
+
+    def __init__(self, what: str, advice: str, *arguments: Any) -> None:
+        self._what = what
+        with quiet():
+            self.capture = cv2.VideoCapture(*arguments)
+        if not self.capture.isOpened():
+            raise InputError(f"{what} cannot be opened; {advice}")
+
+    def read(self) -> CameraImage:
+        """Wait for the next image; StreamEnded where there is none."""
+        image: NDArray[np.uint8] | None = None
+        arrival = 0.0
+        with quiet(), contextlib.suppress(cv2.error):  # raised for a damaged picture of a device
+            ok = self.capture.grab()
+            arrival = time.monotonic()
+            if ok:
+                ok, found = self.capture.retrieve()
+                image = np.asarray(found, dtype=np.uint8) if ok else None
+        if image is None:
+            raise StreamEnded(f"{self._what} delivers nothing more.")
+        return CameraImage(arrival, None, image)
+
+    def close(self) -> None:
+        """Release the camera."""
+        self.capture.release()
+
+
+def _device(number: int, rate: float, size: tuple[int, int]) -> _Captured:
+    """Open a camera of this computer with OpenCV's own back end (V4L2, DirectShow, AVFoundation).
+
+    number: number of the device, from 0.
+    rate, size: frame rate (Hz), width and height (px) that are requested; the camera may give others.
+    """
+    advice = "is it plugged in, and does no other program use it? Devices are numbered from 0."
+    camera = _Captured(f"Camera {number} of this computer", advice, number)
+    # raw pictures of two cameras are more than one USB bus carries
+    camera.capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*"MJPG")))
+    for key, value in (
+        (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
+        (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
+        (cv2.CAP_PROP_FPS, rate),
+        (cv2.CAP_PROP_BUFFERSIZE, 1),
+    ):
+        camera.capture.set(key, float(value))
+    return camera
+
+
+def _stream(address: str) -> _Captured:
+    """Open a network stream that FFmpeg reads (motion JPEG over HTTP, RTSP and others)."""
+    waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 5000]
+    advice = (
+        "check the address with its name and password, and that the camera is on. In names and passwords / is written "
+        "%2F, @ %40, # %23."
+    )
+    return _Captured(f"The stream {without_password(address)}", advice, address, cv2.CAP_FFMPEG, waits)
+
+
+def without_password(address: str) -> str:
+    """Replace the password in an address by dots, so that the address can be shown."""
+    return re.sub(r"(://[^/:@]*):.*@", r"\1:...@", address)
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+class Played:
+    """A video or folder of pictures that is played at its own speed as a `CameraSource`.
+
+    As with a camera, pictures whose time has passed are skipped. Each picture has the time at which it was due.
+
+    reader: the video or folder.
+    rate: Hz, where the film's own rate is not known.
+    begin: time of the first picture, s of the monotonic clock.
+    loop_s: period after which it begins again, s; None: it ends.
+    """
+
+    live = False
+
+    def __init__(self, reader: VideoReader, rate: float, begin: float, loop_s: float | None = None) -> None:
+        self._reader, self._rate, self._begin, self._loop_s = reader, reader.frame_rate or rate, begin, loop_s
+
+    def read(self) -> CameraImage:
+        """Wait until the next picture is due, and return it; StreamEnded after the last."""
+        now, next_one = time.monotonic(), self._reader.position
+        due_s, following = now - self._begin, next_one / self._rate
+        if self._loop_s is not None and max(due_s, following) >= self._loop_s - 0.5 / self._rate:
+            laps = max(1, int(due_s // self._loop_s))
+            self._begin += laps * self._loop_s
+            due_s, next_one = now - self._begin, 0
+        number = max(next_one, min(int(due_s * self._rate), self._reader.n_frames - 1))
+        if next_one >= self._reader.n_frames:
+            raise StreamEnded(f"{self._reader.path} is over.")
+        image = self._reader.read(number)
+        at = self._begin + number / self._rate
+        left = at - time.monotonic()
+        if left > 0:
+            time.sleep(left)
+        return CameraImage(time.monotonic(), at, image)
+
+    def close(self) -> None:
+        """Release the files."""
+        self._reader.close()

@@ -27,7 +27,7 @@ from hypose.evidence.silhouettes import (
     bounding_box,
 )
 from hypose.geometry import DepthMap, Image, Mask
-from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
+from hypose.io.recordings.recording_views import DepthPreparer, Preparer, mask_in, places_in_stored
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -50,7 +50,6 @@ class ViewBackground:
         background: BackgroundModel | None = None,
     ) -> None:
         self._prepare, self._options = Preparer(camera, small, shift), options
-        self.size = small.size
         self.background: BackgroundModel | None = None
         self._segment: Segmenter | None = None
         self._learnt = -np.inf
@@ -88,15 +87,13 @@ class ViewBackground:
         return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
-        """Update the background to slow changes of the scene, if an update is due.
+        """Update the background to slow changes of the scene; call it when an update is due.
 
         image: stored picture (H, W, 3) BGR.
         time: time of the picture, s.
         person: (h, w) mask of the person, at working size; None: not known, then nothing that differs from the
             background is learned.
         """
-        if not self.due(time):
-            return
         passed, self._learnt = time - self._learnt, time
         if self.background is None or not np.isfinite(passed):
             return
@@ -140,7 +137,6 @@ class NetworkBackground:
 
     def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float], network: PoseDetector) -> None:
         self._camera, self._small, self._shift, self._network = camera, small.size, shift, network
-        self.size = 2 * small.size[0], 2 * small.size[1]
         self._number, self._before = 0, list[Crop]()
         self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
 
@@ -182,7 +178,7 @@ class DepthViewBackground:
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
     ) -> None:
-        self._prepare, self.size, self.background = DepthPreparer(camera, small, shift), small.size, background
+        self._prepare, self.background = DepthPreparer(camera, small, shift), background
         self._focal_px = float(small.K[0, 0])
         self.seen: Millimetres | None = None
         """(h, w) mm: the last map that was segmented."""

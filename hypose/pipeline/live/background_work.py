@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.default_body import human
 from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
@@ -28,7 +27,7 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.processes import belong_to_parent, start_process
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject import AnthropometryOptions, estimate_subject
+from hypose.pipeline.subject import SubjectOptions, estimate_subject
 
 _T = TypeVar("_T")
 
@@ -84,9 +83,9 @@ def fitted_body(kept: Sequence[KeptFrame], rate: float, height: float | None, se
     Returns: the body; None where the masks do not determine one.
     """
     frames = [replace(k.frame(), index=i) for i, k in enumerate(kept)]
-    options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
+    options = SubjectOptions(height=height, frame_rate=rate, seed=seed, tracked=len(frames), rate=rate)
     with contextlib.suppress(EvidenceError):
-        return estimate_subject(lambda i: frames[i], len(frames), rate, human(), options).body
+        return estimate_subject(frames.__getitem__, len(frames), options).body
     return None
 
 
@@ -100,10 +99,7 @@ def offsets_of(kept: Sequence[KeptFrame], rate: float) -> Array | None:
     masks = [k.frame().the(Silhouettes) for k in kept]
     tracks, rig = mask_tracks(masks), masks[0].rig
     try:
-        found = solve_offsets(
-            silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate, SETTINGS.background_scale_px),
-            len(rig),
-        )
+        found = solve_offsets(silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate), len(rig))
     except EvidenceError:
         return None
     reported = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)

@@ -34,7 +34,7 @@ from hypose.geometry import Array, Mask
 from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
-from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
+from hypose.io.videos.video import CameraImage, CameraSource, open_camera
 from hypose.pipeline.live.background_models import DepthViewBackground, NetworkBackground, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, punctual, start_process
@@ -383,11 +383,7 @@ class CaptureProcess:
     ) -> None:
         self._stop, self._closing_s = stop or threading.Event(), 0.0
         self._process, self._pipe = start_process(_run, rig, tuple(views), options)
-        opened = self._received(math.inf)  # opening a camera has a time limit of its own
-        if isinstance(opened, HyposeError):
-            self._process.join(5)
-            raise opened
-        if opened is not None:
+        if self.answer(math.inf) is not None:  # opening a camera has a time limit of its own
             self._closing_s = SETTINGS.capture_closing_s
 
     def ask(self, request: CaptureRequest) -> None:
@@ -395,14 +391,27 @@ class CaptureProcess:
         with contextlib.suppress(OSError):  # `answer` reports it
             self._pipe.send(request)
 
-    def answer(self) -> CaptureResult | None:
+    def answer(self, wait: float = 10.0) -> CaptureResult | None:
         """Receive the result of the last request; None where all files have been read to their end, or `stop` is
         set.
+
+        wait: longest time of waiting, s.
         """
-        found = self._received(10.0)
-        if isinstance(found, HyposeError):
-            raise found
-        return found
+        waited = 0.0
+        try:
+            while waited < wait:  # counted, not by the clock: a process that was stopped and goes on has not waited
+                if self._pipe.poll(SETTINGS.capture_look_s):
+                    found = self._pipe.recv()
+                    if isinstance(found, HyposeError):
+                        raise found
+                    return found
+                if self._stop.is_set():
+                    return None
+                waited += SETTINGS.capture_look_s
+            what = f"has not answered for {wait:.0f} s"
+        except (EOFError, OSError):
+            what = "has ended"
+        raise InputError(f"The process that looks at the cameras {what}; start again.")
 
     def close(self) -> None:
         """End the process."""
@@ -412,39 +421,20 @@ class CaptureProcess:
             self._process.kill()
             self._process.join(1)
 
-    def _received(self, wait: float):  # noqa: ANN202 - what the other side sends
-        waited = 0.0
-        try:
-            while waited < wait:  # counted, not by the clock: a process that was stopped and goes on has not waited
-                if self._pipe.poll(SETTINGS.capture_look_s):
-                    return self._pipe.recv()
-                if self._stop.is_set():
-                    return None
-                waited += SETTINGS.capture_look_s
-            what = f"has not answered for {wait:.0f} s"
-        except (EOFError, OSError):
-            what = "has ended"
-        raise InputError(f"The process that looks at the cameras {what}; start again.")
-
 
 def _run(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
     warm_up("outlines", "pictures")  # compile now, so that the first pictures are not late
-    try:
-        capture = Capture(rig, views, options)
-    except HyposeError as error:
-        with contextlib.suppress(OSError):  # the asking process is gone
+    with contextlib.suppress(EOFError, OSError):  # the asking process is gone
+        try:
+            capture = Capture(rig, views, options)
+        except HyposeError as error:
             pipe.send(error)
-        return
-    try:
-        with punctual():
-            pipe.send("open")
+            return
+        with contextlib.closing(capture), punctual():
+            pipe.send(True)
             while True:
                 captured = capture.look(pipe.recv())
                 over = capture.ended and not np.isfinite(captured.time)
                 pipe.send(None if over else captured)
                 capture.keep_up()
-    except (EOFError, OSError):  # likewise
-        pass
-    finally:
-        capture.close()

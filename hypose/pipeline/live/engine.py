@@ -8,8 +8,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,24 +46,6 @@ from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"
 """Value of `LiveEngine.phase` while the empty room is learned; afterwards it is that of `LivePeople`."""
-
-
-@dataclass(frozen=True)
-class LiveTrackingOptions:
-    """Options of live tracking.
-
-    capture: options of capture.
-    person: recipe and seed of tracking, and prior knowledge of the person.
-    people: most people that are tracked.
-    measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
-    pictures: whether the results for listeners contain the pictures.
-    """
-
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-    person: LivePersonOptions = LivePersonOptions()
-    people: int = 1
-    measure: bool = True
-    pictures: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,22 +90,25 @@ class LiveResult:
     poses: tuple[LivePose, ...]
 
 
-class Listener(Protocol):
-    """Protocol of a receiver of live results. The engine's thread calls it, so it must return at once."""
+class Listener:
+    """Receiver of live results. The engine's thread calls it, so it must return at once."""
 
     def seen(self, seen: LiveResult, /) -> None:
         """Receive an instant and the poses in it."""
-        ...
 
     def status(self, status: LiveStatus, /) -> None:
         """Receive the state of the run; called every second."""
-        ...
 
 
 class LiveEngine:
     """Live tracking. After `start` it runs until `stop`, the end of all files (`ended`) or an error (`failed`).
 
     rig, views: calibrated cameras, and how each is opened, in the same order.
+    capture: options of capture.
+    person: recipe and seed of tracking, and prior knowledge of the person.
+    people: most people that are tracked.
+    measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
+    pictures: whether the results for listeners contain the pictures.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
     Raises: InputError where the number of cameras does not suit.
@@ -134,7 +118,12 @@ class LiveEngine:
         self,
         rig: CameraRig,
         views: Sequence[LiveView],
-        options: LiveTrackingOptions | None = None,
+        capture: CaptureOptions | None = None,
+        person: LivePersonOptions | None = None,
+        *,
+        people: int = 1,
+        measure: bool = True,
+        pictures: bool = False,
         listeners: Sequence[Listener] = (),
         stop: threading.Event | None = None,
     ) -> None:
@@ -142,21 +131,20 @@ class LiveEngine:
             raise InputError(
                 f"Live tracking needs two cameras or more, or one depth camera, and {len(views)} is given."
             )
-        if any_depth(views) and (options or LiveTrackingOptions()).people > 1:
+        if any_depth(views) and people > 1:
             raise InputError("Depth cameras follow one person; leave --people out.")
-        self.options, self.views, self.rig = options or LiveTrackingOptions(), tuple(views), rig
-        if self.options.people > 1:
-            capture = replace(self.options.capture, silhouettes=self.options.capture.silhouettes.of_all_people)
-            self.options = replace(self.options, capture=capture)
+        self._options, self._person = capture or CaptureOptions(), person or LivePersonOptions()
+        self._most, self._pictures = people, pictures
+        if people > 1:
+            self._options = replace(self._options, silhouettes=self._options.silhouettes.of_all_people)
+        self.views, self.rig = tuple(views), rig
         self.small = live_working_rig(rig, views)
         self.listeners = list(listeners)
         self.ended = threading.Event()
         self.failed: BaseException | None = None
         self._capture: CaptureProcess | None = None
-        self._executor = ThreadPoolExecutor(
-            min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
-        )
-        self._work = BackgroundWork() if self.options.measure else None
+        self._executor = ThreadPoolExecutor(min(people, SETTINGS.engine_searches), thread_name_prefix="start")
+        self._work = BackgroundWork() if measure else None
         self._people = self._new_people()
         self._areas: deque[NDArray[np.int64]] = deque(maxlen=SETTINGS.engine_history)
         self._frames = self._poses = 0
@@ -175,8 +163,7 @@ class LiveEngine:
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
 
     def _new_people(self) -> LivePeople:
-        s = self.options
-        return LivePeople(self.small, s.capture.rate, s.person, self._executor, self._work, s.people)
+        return LivePeople(self.small, self._options.rate, self._person, self._executor, self._work, self._most)
 
     def start(self) -> None:
         """Open the cameras and begin.
@@ -186,7 +173,7 @@ class LiveEngine:
         parts = (*TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         warm_up(*parts, load=False)  # the other process finds the compiled kernels
         warm = self._executor.submit(warm_up, *parts)
-        self._capture = CaptureProcess(self.rig, self.views, self.options.capture, self._stop)
+        self._capture = CaptureProcess(self.rig, self.views, self._options, self._stop)
         if self._stop.is_set():
             self._capture.close()
             return
@@ -246,9 +233,7 @@ class LiveEngine:
         pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         learn, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
-        return CaptureRequest(
-            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, learn, offsets
-        )
+        return CaptureRequest(pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self._pictures, learn, offsets)
 
     def _one(self, captured: CaptureResult) -> None:
         frame = self._frame(captured)
@@ -286,7 +271,7 @@ class LiveEngine:
         ]
         areas = np.array([0 if m is None else int(np.count_nonzero(m)) for m in masks])
         history = np.stack(self._areas, 1) if self._areas else np.zeros((len(masks), 0), np.int64)
-        if self._people.phase not in (STATE_TRACKING, STATE_LOST) or self.options.people > 1:
+        if self._people.phase not in (STATE_TRACKING, STATE_LOST) or self._most > 1:
             history = history[:, :0]  # people who come into view change the area: that is no collapsed mask
             self._areas.clear()
         elif self._frames % 5 == 0:

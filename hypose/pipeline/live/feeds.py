@@ -15,7 +15,7 @@ import numpy as np
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.align import SensorClock
 from hypose.geometry import Array
-from hypose.io.videos.camera_sources import CameraImage, CameraSource
+from hypose.io.videos.video import CameraImage, CameraSource
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -104,7 +104,7 @@ class CameraFeed:
             period, trouble = self._period(), self._trouble
             silent = time.monotonic() - (self._shots[-1][1].arrival if self._shots else self._begun)
             if not trouble and silent > 2 * SETTINGS.feeds_gone_s:
-                trouble = f"no picture for {silent:.0f} s"
+                trouble = "it sends no pictures"
             rate = 1 / period if np.isfinite(period) and not trouble else 0.0
             lost = max(sum(self._recent), 0)
             loss = lost / max(lost + len(self._recent), 1)
@@ -164,9 +164,9 @@ class CameraFeed:
                 if self._shots and shot.arrival - self._shots[-1][1].arrival > 1.0:
                     self._shots.clear()  # the clock was set back
                 return
-            if len(self._pace) >= SETTINGS.feeds_known:
+            if np.isfinite(period := self._period()):
                 # a picture that comes too soon after another was only late: it reduces the number of lost ones
-                self._recent.append(round((at - self._pace[-1]) / _usual(np.diff([*self._pace, at]))) - 1)
+                self._recent.append(round((at - self._pace[-1]) / period) - 1)
                 self._lost = max(0, self._lost + self._recent[-1])
             self._shots.append((at, shot))
             while len(self._shots) > SETTINGS.feeds_kept and self._shots[SETTINGS.feeds_kept][0] <= at - self.ahead:
@@ -179,15 +179,6 @@ class CameraFeed:
 
 def _without_pauses(steps: Array) -> Array:
     return steps[steps < max(SETTINGS.feeds_gone_s, 2 * float(np.median(steps)))]
-
-
-def _usual(steps: Array) -> float:
-    """Compute the usual time (s) between two pictures: the median of the steps (N,) s, weighted by their length.
-
-    Why weighted: pictures that arrive in one burst after a delay do not change it.
-    """
-    ordered = np.sort(_without_pauses(steps))
-    return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ explains the masks as well as the one before.
 from __future__ import annotations
 
 import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -35,7 +34,13 @@ from hypose.pipeline.live.background_work import BackgroundWork, KeptFrame
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import Member, TrackedPerson, TrackingSession, step_together, tracker_of
-from hypose.pipeline.track_management import birth_candidates, candidate_evidence, doubles, explained_by, follow_places
+from hypose.pipeline.track_management import (
+    birth_candidates,
+    candidate_evidence,
+    explained_by,
+    follow_places,
+    part_doubles,
+)
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
 from hypose.tracking.error_model import as_mixture, judged
@@ -70,29 +75,23 @@ class LivePersonOptions:
 class FoundPerson:
     """Person who was found and tracked to the present.
 
-    body: body of the track.
-    state: state of the tracker.
+    member: tracker and its state.
     time: time of the state, s.
     step_s: time of the last step, s.
     """
 
-    body: Body
-    state: TrackerState
+    member: Member
     time: float
     step_s: float
 
 
-@dataclass(frozen=True)
-class _Look:
-    """One frame of a search, and the people who are tracked in it already."""
-
-    frame: Frame
-    others: Sequence[Other]
+_Look = tuple[Frame, Sequence[Other]]
+"""One frame of a search, and the people who are tracked in it already."""
 
 
 class LiveSearch:
-    """Search for people in live masks. Call `look` with every frame that may show a person who is not tracked yet; it
-    never waits.
+    """Search for people in live masks. Call `take` and then `look` with every frame that may show a person who is not
+    tracked yet; they never wait.
 
     executor: runs the search.
     several: there may be more than one person, so each is searched in the mask that the others leave.
@@ -102,20 +101,24 @@ class LiveSearch:
         self.options, self.several = options, several
         self.phase = STATE_EMPTY
         self._executor = executor
-        self._first: list[_Look] = []
-        self._waiting: deque[_Look] = deque()
-        self._lock = threading.Lock()
-        self._search: Future[None] | None = None
-        self._found: list[FoundPerson] = []
-        self._failed, self._not_before = 0, -np.inf
+        self._kept: deque[_Look] = deque()  # while a search runs, it takes the frames from here
+        self._search: Future[list[FoundPerson]] | None = None
+        self._last, self._crowded, self._failed, self._not_before = -np.inf, False, 0, -np.inf
 
     def take(self) -> list[FoundPerson]:
         """Return the people who were found since the last call."""
-        with self._lock:
-            found, self._found = self._found, []
-            if found:
-                self._search, self._first, self.phase = None, [], STATE_EMPTY
-                self._failed, self._not_before = 0, -np.inf
+        if self._search is None or not self._search.done():
+            return []
+        search, self._search = self._search, None
+        self._kept.clear()
+        try:
+            found = search.result()
+        except EvidenceError:
+            if self._crowded:  # search less often: the tracked people need the processor
+                self._failed += 1
+                self._not_before = self._last + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
+            return []
+        self.phase, self._failed = STATE_EMPTY, 0
         return found
 
     def look(self, frame: Frame, others: Sequence[Other], most: int, body: Body | None, height: float | None) -> None:
@@ -125,46 +128,29 @@ class LiveSearch:
         most: most people to search.
         body, height: body and height of the new person, where known; height in m.
         """
-        with self._lock:
-            if not self._found:
-                self._look(_Look(frame, others), most, body, height)
+        passed = frame.time - self._last
+        if frame.time < self._not_before or passed < 0.9 / SETTINGS.search_slowly_hz:
+            return
+        shown, searching = _largest_person(frame, others), self._search is not None
+        if not searching and (not shown or passed > SETTINGS.search_gap_s):
+            self._kept.clear()
+            self.phase = STATE_EMPTY
+        if not shown or len(self._kept) >= SETTINGS.search_longest:
+            return
+        self._kept.append((frame, others))
+        self._last, self._crowded, self.phase = frame.time, bool(others), STATE_SEARCHING
+        if not searching and len(self._kept) == SETTINGS.search_decide:
+            first = [self._kept.popleft() for _ in range(SETTINGS.search_decide)]
+            self._search = self._executor.submit(self._find, first, most, body or human(), height)
 
-    def _look(self, look: _Look, most: int, body: Body | None, height: float | None) -> None:
-        frame = look.frame
-        if self._search is not None and self._search.done():
-            failed = self._search.exception()
-            if failed is not None and not isinstance(failed, EvidenceError):
-                raise failed
-            self._search, self._first = None, []
-            self._waiting.clear()
-            if look.others:  # search less often: the tracked people need the processor
-                self._failed += 1
-                self._not_before = frame.time + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
-        if frame.time < self._not_before:
-            return
-        kept = self._waiting if self._search is not None else self._first
-        if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
-            return
-        if not _largest_person(look):
-            if self._search is None:
-                self.phase, self._first = STATE_EMPTY, []
-            return
-        if self._search is not None:
-            if len(self._waiting) < SETTINGS.search_longest:
-                self._waiting.append(look)
-            return
-        if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
-            self._first = []
-        self._first.append(look)
-        self.phase = STATE_SEARCHING
-        if len(self._first) == SETTINGS.search_decide:
-            self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
+    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> list[FoundPerson]:
+        """Find starts in the first frames and track them through the frames since then; runs in another thread.
 
-    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
-        """Find starts in the first frames and track them through the frames since then; runs in another thread."""
+        Raises: EvidenceError where no body explains the masks.
+        """
         options, zero = self.options, np.zeros(template.skeleton.dof)
         members = list[Member]()
-        for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
+        for frames in _each_alone(looks, most) if self.several else [[frame for frame, _ in looks]]:
             prepared = [prepare(f, template, zero) for f in frames]
             best = weigh_starts(starts_in_frame(template, prepared[0], height), prepared[1:]).best
             if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
@@ -172,29 +158,22 @@ class LiveSearch:
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
             raise EvidenceError("No body explains the masks.")
-
-        def step(members: Sequence[Member], look: _Look) -> list[Member]:
-            return step_together(members, look.frame, others=look.others, alone=not self.several)[0]
-
-        last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
-        for look in looks:
-            members, last = step(members, look), look.frame.time
-        while True:
-            with self._lock:
-                # skip frames where a step takes longer than the time between them, else the present is never reached
-                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(
-                    1.5 * spent, SETTINGS.search_gap_s
-                ):
-                    self._waiting.popleft()
-                if not self._waiting:
-                    self._found = [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
-                    return
-                look = self._waiting.popleft()
-            begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
+        alone, step_s, spent = not self.several, 1 / SETTINGS.search_slowly_hz, 0.0
+        for frame, others in looks:
+            members = step_together(members, frame, others=others, alone=alone)[0]
+        last = looks[-1][0].time
+        while self._kept:
+            # skip frames where a step takes longer than the time between them, else the present is never reached
+            within = min(1.5 * spent, SETTINGS.search_gap_s)
+            while len(self._kept) > 1 and self._kept[1][0].time - last < within:
+                self._kept.popleft()
+            frame, others = self._kept.popleft()
+            begin, before_s, step_s = time.monotonic(), step_s, frame.time - last
             share = 0.0 if step_s > SETTINGS.search_gap_s else step_s / before_s
             members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
-            members = step(members, look)
-            last, spent = look.frame.time, time.monotonic() - begin
+            members = step_together(members, frame, others=others, alone=alone)[0]
+            last, spent = frame.time, time.monotonic() - begin
+        return [FoundPerson(m, last, step_s) for m in members]
 
 
 def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
@@ -211,13 +190,13 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
     return replace(state, previous=state.pose - share * step, hypotheses=h)
 
 
-def _largest_person(look: _Look) -> bool:
+def _largest_person(frame: Frame, others: Sequence[Other]) -> bool:
     """Return whether enough views show something of the size of a person in addition to the known people."""
-    for s in look.frame.of(Silhouettes):
-        if look.others:
-            return birth_candidates(look.others, s)
+    for s in frame.of(Silhouettes):
+        if others:
+            return birth_candidates(others, s)
         large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
-        return int((large & s.usable).sum()) >= look.frame.fewest_views
+        return int((large & s.usable).sum()) >= frame.fewest_views
     return False
 
 
@@ -225,13 +204,11 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
     """Make the evidence of each new person in the hull of the first frame; those who are not in most of the frames are
     left out.
     """
-    paths = follow_places(
-        lambda t: looks[t].frame, range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t].others
-    )
+    paths = follow_places(lambda t: looks[t][0], range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t][1])
     out = list[list[Frame]]()
     for path in [p for p in paths if 0 in p.found and len(p.found) > len(looks) // 2][:most]:
-        at = [(looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
-        out.append([candidate_evidence(one, look.frame, look.others, all_) for look, one, all_ in at])
+        at = [(*looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
+        out.append([candidate_evidence(one, frame, others, all_) for frame, others, one, all_ in at])
     return out
 
 
@@ -277,6 +254,11 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
+def _together(rate: float) -> int:
+    """Return the number of frames after which two people in one place are taken for one; rate: Hz."""
+    return max(2, round(SETTINGS.people_together_s * rate))
+
+
 class LiveTrack(TrackedPerson):
     """Live track of one person, for the session of `LivePeople`. For each frame call `prepare`, let the session track
     it, and call `look`; then `pose` gives the pose, and `judge` updates its error probabilities.
@@ -294,7 +276,7 @@ class LiveTrack(TrackedPerson):
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
     given_up: the person has been lost for too long.
-    estimates: of the last SETTINGS.people_together_s seconds.
+    estimates: of the last frames, which show whether two people stay in one place.
     """
 
     def __init__(
@@ -309,8 +291,9 @@ class LiveTrack(TrackedPerson):
         sync: bool = True,
         shared: bool = False,
     ) -> None:
-        subject = TrackedSubject(found.body, None, found.state.pose, ())
-        super().__init__(str(number), subject, Member(options.tracker(found.body, rate), found.state))
+        body, state = found.member.tracker.body, found.member.state
+        subject = TrackedSubject(body, None, state.pose, ())
+        super().__init__(str(number), subject, Member(options.tracker(body, rate), state))
         self.number, self.rig, self.rate, self.options = number, rig, rate, options
         self.body: Body | None = options.body
         self.offsets: Array | None = None
@@ -327,18 +310,7 @@ class LiveTrack(TrackedPerson):
         self._shift: Array | None = None
         self._whole: Frame | None = None
         self._frame: Frame | None = None
-        self._times = deque[float]()
         self.given_up = False
-
-    @property
-    def tracker(self) -> Tracker:
-        """The tracker, which changes with the body and the rate of the frames."""
-        return self.member.tracker
-
-    @property
-    def state(self) -> TrackerState:
-        """State of the tracker after the last frame; after `prepare` with velocities for the next one."""
-        return self.member.state
 
     def prepare(self, frame: Frame) -> None:
         """Prepare the track for the next frame, which shows all people: take over results of parallel work, and adapt
@@ -353,7 +325,7 @@ class LiveTrack(TrackedPerson):
         passed = frame.time - self._time
         self._keep_pace(min(passed, SETTINGS.search_gap_s))
         share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
-        self.member = replace(self.member, state=paced(self.state, share, self.tracker.body.skeleton))
+        self.member = replace(self.member, state=paced(self.member.state, share, self.member.tracker.body.skeleton))
 
     def take(self, estimate: FrameEstimate, member: Member) -> None:
         """Add a tracked frame."""
@@ -369,10 +341,7 @@ class LiveTrack(TrackedPerson):
         passed, estimate = frame.time - self._time, self.estimates[-1]
         self._whole, self._frame = whole, frame
         self._time, self._step_s = frame.time, max(passed, 1e-3)
-        self._times.append(frame.time)
-        while len(self._times) > 1 and self._times[1] <= frame.time - SETTINGS.people_together_s:
-            self._times.popleft()
-        del self.estimates[: -len(self._times)]
+        del self.estimates[: -_together(self.rate)]
         if self._shift is not None:
             shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
             self._shift = shift if np.abs(shift).max() > 1e-4 else None
@@ -384,17 +353,9 @@ class LiveTrack(TrackedPerson):
             self._lost_since = None
             self._measure(frame)
 
-    @property
-    def recent(self) -> list[FrameEstimate]:
-        """Estimates of the last SETTINGS.people_together_s seconds; empty where the person has been tracked for a
-        shorter time.
-        """
-        long = self._times and self._time - self._times[0] >= SETTINGS.people_together_s
-        return self.estimates if long else []
-
     def pose(self) -> LivePose:
         """Return the pose of the last frame with the newest error probabilities; only after `look`."""
-        frame, tracker = self._frame, self.tracker
+        frame, tracker = self._frame, self.member.tracker
         assert frame is not None
         motion = self._errors.reported(tracker, self.estimates[-1], frame)
         joints = np.asarray(motion.joints[0], np.float64)
@@ -405,7 +366,7 @@ class LiveTrack(TrackedPerson):
     def judge(self) -> None:
         """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""
         if self._frame is not None:
-            self._errors.look(self.tracker, self.estimates[-1], self._frame, self._whole)
+            self._errors.look(self.member.tracker, self.estimates[-1], self._frame, self._whole)
 
     def _compare_sides(self, frame: Frame, estimate: FrameEstimate) -> None:
         """Start or continue a duel: where the body with exchanged sides explains a frame better, it is tracked in
@@ -418,7 +379,7 @@ class LiveTrack(TrackedPerson):
                 self._between *= 2
                 self._challenge = frame.time + self._between
             frames: queue.SimpleQueue[tuple[Frame, float]] = queue.SimpleQueue()
-            body, pose = self.tracker.body, estimate.pose
+            body, pose = self.member.tracker.body, estimate.pose
             self._duel = _Duel(frames, self._executor.submit(self._sides_won, body, pose, frame, frames))
 
     def _sides_won(
@@ -455,10 +416,10 @@ class LiveTrack(TrackedPerson):
     def _keep_pace(self, passed: float) -> None:
         """Replace the tracker by one for another frame rate where frames come at another rate than it expects."""
         self._usual_s += SETTINGS.live_pace * (passed - self._usual_s)
-        rate = self.tracker.settings.frame_rate
+        rate = self.member.tracker.settings.frame_rate
         if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
             pace = float(np.clip(1 / self._usual_s, SETTINGS.search_slowly_hz, self.rate))
-            self.member = replace(self.member, tracker=self.options.tracker(self.tracker.body, pace))
+            self.member = replace(self.member, tracker=self.options.tracker(self.member.tracker.body, pace))
 
     def _measure(self, frame: Frame) -> None:
         """Keep masks, and start the fits of body and camera offsets when there are enough."""
@@ -490,31 +451,23 @@ class LiveTrack(TrackedPerson):
 
     def _use_fitted_body(self) -> None:
         """Use the fitted body where it explains the last frame as well as the body before."""
-        frame, old = self._frame, self.tracker.body
+        frame, old, pose = self._frame, self.member.tracker.body, self.member.state.pose
         if self._fit is None or not self._fit.done() or frame is None:
             return
         body, self._fit = self._fit.result(), None
-        if body is None or self.state.lost:
+        if body is None or self.member.state.lost:
             return  # it is fitted again from later frames
-        before = refine(old, self.state.pose[None], prepare(frame, old, self.state.pose), SETTLING)[0].pose
-        moved = on_body(before, old, body)
+        before = refine(old, pose[None], prepare(frame, old, pose), SETTLING)[0].pose
+        moved = before.copy()  # the angles stay, and the mean of the joints stays in place
+        moved[:3] += (old.joints(before) - body.joints(before)).mean(0)
         prepared = prepare(frame, body, moved)
         after = refine(body, moved[None], prepared, SETTLING)[0].pose
         if mean_overlap(body, after, prepared) < mean_overlap(old, before, prepare(frame, old, before)):
             return
-        tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
-        state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
+        tracker = self.options.tracker(body, self.member.tracker.settings.frame_rate)
+        state = replace(tracker.start(after, self.member.state.memory), frames=1, usual_iou=self.member.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
         self.body, self.member, self._errors, self._duel = body, Member(tracker, state), LiveErrorModel(), None
-
-
-def on_body(pose: Array, before: Body, body: Body) -> Array:
-    """Transfer a pose (D,) to another body with the same joints: angles stay, and the mean of the joints stays in
-    place.
-    """
-    moved = pose.copy()
-    moved[:3] += (before.joints(pose) - body.joints(pose)).mean(0)
-    return moved
 
 
 class LiveErrorModel:
@@ -614,7 +567,7 @@ class LivePeople:
         """
         if not self.people:
             return self._search.phase
-        return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING
+        return STATE_LOST if all(p.member.state.lost for p in self.people) else STATE_TRACKING
 
     @property
     def fitted(self) -> bool:
@@ -653,8 +606,8 @@ class LivePeople:
             if p.given_up and self.alone:
                 self._known = p.body  # the next person counts as the same one
         people = [p for p in people if not p.given_up]
-        worse = doubles([p.recent for p in people])
-        session.people = [p for k, p in enumerate(people) if k not in worse]
+        part_doubles(people, _together(self._rate))
+        session.people = [p for p in people if p.member.present]
         if len(session.people) < self.most:
             self._look(frame)
 

@@ -11,11 +11,11 @@ from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any
 from hypose.io.recordings.frames import build_backgrounds, working_rig
+from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_views import ViewSettings
-from hypose.io.recordings.view_source import DepthSource
+from hypose.io.recordings.recording_views import DepthSource, ViewSettings
 from hypose.io.sensors.depth import DEPTH_PREFIX, is_depth
-from hypose.io.videos.camera_sources import is_device, without_password
+from hypose.io.videos.video import is_device, without_password
 from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.settings import SETTINGS
 
@@ -55,7 +55,9 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
-    recording = _recording(path)
+    names = ("recording.toml", "config.toml")
+    is_one = path.name.lower() in names if path.is_file() else (path / names[0]).is_file() or is_project(path)
+    recording = load_recording(path) if is_one else None
     notes: tuple[str, ...] = ()
     if recording is None:
         found = find_calibration(path) if path.is_dir() else path
@@ -98,11 +100,11 @@ def _address(view: ViewSettings, sources: Mapping[str, str]) -> str:
 
 def _check_places(sources: Mapping[str, str]) -> None:
     """Raise InputError where two cameras have the same address."""
-    first: dict[str, str] = {}
+    names = dict[str, str]()
     for name, where in sources.items():
-        place = str(int(where)) if is_device(where) else where
-        if first.setdefault(place, name) != name:
-            both = f"{first[place]} and {name} are both at {without_password(where)}"
+        first = names.setdefault(str(int(where)) if is_device(where) else where, name)
+        if first != name:
+            both = f"{first} and {name} are both at {without_password(where)}"
             raise InputError(f"The cameras {both}; say where each of them is.")
 
 
@@ -138,12 +140,3 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
     no_background = not any({"background", "depth"} & v.files.keys() for v in recording.views)
     rate = rate or recording.frame_rate
     return LiveRig(rig, views, rate, recording.silhouettes, recording.subject_height, notes, no_background)
-
-
-def _recording(path: Path) -> Recording | None:
-    """Load the recording; None where the path is a calibration."""
-    if path.is_dir():
-        is_one = (path / "recording.toml").is_file() or (path / "Config.toml").is_file()
-    else:
-        is_one = path.name.lower() in ("recording.toml", "config.toml")
-    return load_recording(path) if is_one else None

@@ -18,19 +18,18 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.file_names import folder_for
-from hypose.io.files import RecordingFolder
+from hypose.io.files import RecordingFolder, folder_for
 from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import ViewSettings
 from hypose.pipeline.live.capture import LiveView, live_working_rig, stored
-from hypose.pipeline.live.engine import LiveResult, LiveStatus
+from hypose.pipeline.live.engine import Listener, LiveResult
 from hypose.pipeline.settings import SETTINGS
 
 _POSES = "poses.jsonl"
 
 
-class LiveRecorder:
+class LiveRecorder(Listener):
     """Listener of the live engine that writes a recording; the engine must deliver pictures. `close` ends it.
 
     folder: new or empty; it stays empty until there is something to record.
@@ -52,12 +51,12 @@ class LiveRecorder:
         self.folder, self._rig, self._views, self._silhouettes = folder, rig, tuple(views), silhouettes
         self._height = height
         self.left_out = self.written = 0
-        self.failed, self._closed = "", False
+        self.failed = ""
         self._small = live_working_rig(rig, views)
         self._times: list[float] = []
         self._followed: list[bool] = []
         self._rows, self._described = 0, -np.inf
-        self._last: list[bytes | None] = [None] * len(views)
+        self._last = [_black(c.size, v.depth) for c, v in zip(rig, views, strict=True)]
         self._waiting: queue.Queue[LiveResult | None] = queue.Queue(SETTINGS.recorder_waiting)
         self._files: list[dict[str, Path]] = []
         """Folders of each view by kind of evidence, as in `ViewSettings`."""
@@ -73,31 +72,25 @@ class LiveRecorder:
         except queue.Full:
             self.left_out += 1
 
-    def status(self, status: LiveStatus) -> None:
-        """Ignore the state of the run."""
-
     def close(self) -> bool:
         """Write the waiting instants and recording.toml.
 
         Returns: whether there was anything to record.
         Raises: InputError where not everything could be written; what was written is a valid recording.
         """
-        recorded = self._closed or self._close()
+        begun = self._thread.is_alive()
+        self._waiting.put(None)
+        self._thread.join()
+        recorded = len(self._times) > 1
+        if begun and recorded:
+            self._describe()
+        elif begun and self._made:
+            with contextlib.suppress(OSError):  # there is something in it
+                self.folder.rmdir()
         if self.failed:
             kept = f"the {self.written} instants before that are" if recorded else "nothing is"
             raise InputError(f"{self.failed.rstrip('.')}; {kept} recorded.")
         return recorded
-
-    def _close(self) -> bool:
-        self._waiting.put(None)
-        self._thread.join()
-        self._closed = len(self._times) > 1
-        if self._closed:
-            self._describe()
-        elif self._made:
-            with contextlib.suppress(OSError):  # there is something in it
-                self.folder.rmdir()
-        return self._closed
 
     def _describe(self) -> None:
         views = tuple(
@@ -170,29 +163,27 @@ class LiveRecorder:
     def _write(self, seen: LiveResult, poses: TextIO) -> None:
         number = self.written
         self._write_empty(seen.captured.empty)
-        for c, (view, jpeg) in enumerate(zip(seen.captured.views, seen.captured.jpegs, strict=True)):
-            if self._views[c].depth:
-                self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size, True)
-                (self._files[c]["depth"] / f"{number:06d}.png").write_bytes(self._last[c] or b"")
-                continue
-            width, height = self._small[c].size
-            mask = np.zeros((height, width), np.uint8) if view is None else np.unpackbits(view[0], 1, width)
-            _, data = cv2.imencode(".png", mask * np.uint8(255))
-            (self._files[c]["masks"] / f"{number:06d}.png").write_bytes(data.tobytes())
-            self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size)
-            (self._files[c]["images"] / f"{number:06d}.jpg").write_bytes(self._last[c] or b"")
-        people = []
-        for pose in seen.poses:
-            m = pose.motion
-            assert m.poses is not None
-            row = {
-                "id": pose.person,
-                "lost": pose.lost,
-                "pose": m.poses[0].round(6).tolist(),
-                "joints": pose.joints.round(5).tolist(),
-                "sd": m.joint_sd[0].astype(float).round(5).tolist(),
+        shown = zip(self._files, seen.captured.views, seen.captured.jpegs, strict=True)
+        for c, (files, view, jpeg) in enumerate(shown):
+            if view is not None and jpeg is not None:
+                self._last[c] = jpeg
+            kind, ending = ("depth", "png") if self._views[c].depth else ("images", "jpg")
+            (files[kind] / f"{number:06d}.{ending}").write_bytes(self._last[c])
+            if "masks" in files:
+                width, height = self._small[c].size
+                mask = np.zeros((height, width), np.uint8) if view is None else np.unpackbits(view[0], 1, width)
+                data = cv2.imencode(".png", mask * np.uint8(255))[1].tobytes()
+                (files["masks"] / f"{number:06d}.png").write_bytes(data)
+        people = [
+            {
+                "id": p.person,
+                "lost": p.lost,
+                "pose": np.asarray(p.motion.poses)[0].round(6).tolist(),
+                "joints": p.joints.round(5).tolist(),
+                "sd": p.motion.joint_sd[0].astype(float).round(5).tolist(),
             }
-            people.append(row)
+            for p in seen.poses
+        ]
         instant = {"n": number, "time": round(seen.frame.time, 6), "people": people}
         line = json.dumps(instant, separators=(",", ":")) + "\n"
         poses.write(line)
@@ -201,11 +192,10 @@ class LiveRecorder:
         self._times.append(seen.frame.time)
         self._followed.append(len(people) > 0)
         self.written += 1
-        if (
-            self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # so that the recording of a killed process can be read
-            self._describe()
-            self._described = time.monotonic()
+        now = time.monotonic()
+        if self.written > 1 and now - self._described >= SETTINGS.recorder_describe_s:
+            self._describe()  # so that the recording of a killed process can be read
+            self._described = now
 
     def _forget(self) -> None:
         """Remove the files of the instant that failed; this also frees space for recording.toml."""
@@ -217,7 +207,7 @@ class LiveRecorder:
                     path.unlink()
 
 
-def _black(size: tuple[int, int], depth: bool = False) -> bytes:
+def _black(size: tuple[int, int], depth: bool) -> bytes:
     """Encode a black picture, for a camera that has not shown anything yet."""
     nothing = np.zeros((size[1], size[0]), np.float32) if depth else np.zeros((size[1], size[0], 3), np.uint8)
     return stored(nothing) or b""

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.errors import SolverError
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
@@ -29,6 +28,7 @@ LEAST_DEPTH = 0.06
 """m: a segment whose ends differ by less in depth is not mirrored"""
 _LOOSE = 0.02
 """1 / rad^2: weight that chooses among poses with the same joint centres the one nearest to the start."""
+_TO_JOINTS = SolveSettings(iterations=20, damping=1e-3)
 REACHED = 0.06
 """m: largest distance allowed between the limb's joints and their mirrored places; joint limits may prevent a closer
 fit"""
@@ -46,6 +46,7 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
     s = body.skeleton
     joints = body.joints(q)
     held = held_dofs(s.dof, active)
+    stay = Quadratic(q, np.maximum(held, _LOOSE))
     out = []
     for chain in CHAINS:
         limb = [s.joint(name) for name in chain]
@@ -59,22 +60,8 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
                 continue
             target = joints.copy()
             target[s.descendants(chain[k + 1])] -= 2 * depth * sight
-            fit = _reach(body, q, target, held)
-            if fit is not None and np.linalg.norm((body.joints(fit) - target)[limb], axis=1).max() < REACHED:
+            term = PointTerm(target, np.ones(len(target)), np.arange(len(target)), np.zeros((len(target), 3)), 0.05)
+            fit = np.where(held > 0, q, fit_pose(body, q, [term], priors=(stay,), options=_TO_JOINTS).pose)
+            if np.linalg.norm((body.joints(fit) - target)[limb], axis=1).max() < REACHED:
                 out.append(fit)
     return np.array(out).reshape(-1, s.dof)
-
-
-def _reach(body: Body, pose: Array, target: Array, held: Array) -> Array | None:
-    """Solve for the pose near `pose` whose joint centres are at target (J, 3), m; None where the solve fails.
-
-    held: (D,) weights of `held_dofs`; dof with a weight keep their values.
-    """
-    j = len(target)
-    term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
-    stay = Quadratic(pose, np.maximum(held, _LOOSE))
-    try:
-        fit = fit_pose(body, pose, [term], priors=(stay,), options=SolveSettings(iterations=20, damping=1e-3))
-    except SolverError:
-        return None
-    return np.where(held > 0, pose, fit.pose)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.body.anthropometry import body_of
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
@@ -23,18 +24,19 @@ from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.resampling import distinct
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import PointsOn, fit_proportions, held_dofs, seen_points
-from hypose.tracking.monocular.pool import distinct
 from hypose.tracking.monocular.problem import checked_picture, floor_of
-from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
+from hypose.tracking.monocular.proportions import INTERNAL, VOLUMETRIC, proportions, search_factors
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import known_pose
 
 LEAST_CLICKS = 6
-_HEADINGS = 8
+_YAWS = np.arange(8) * np.pi / 4
+"""rad, headings that are tried"""
 DISTINCT_M = 0.06
 """m: poses are different alternatives when at least one joint lies further apart than this."""
 FLIP_ROUNDS = 2
@@ -48,7 +50,7 @@ class InitialFit:
 
     body: the template with the person's proportions.
     hypotheses: alternative poses, best first, with covariances and the column `cost`.
-    factors: (K,) logarithms of the proportions, in the order of proportions.PROPORTION_NAMES.
+    factors: (K,) logarithms of the proportions, in the order of SHAPE_FACTORS.
     residual_px: root mean square distance of the best pose to the points, px.
     """
 
@@ -88,15 +90,15 @@ def initialise(
     """
     camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
-    seen = seen_points(points_on(template))
-    if seen < LEAST_CLICKS:
+    count = seen_points(points_on(template))
+    if count < LEAST_CLICKS:
         raise EvidenceError(
-            f"Frame {frame.index}: only {seen} points of the body are seen; at least {LEAST_CLICKS} are needed to "
+            f"Frame {frame.index}: only {count} points of the body are seen; at least {LEAST_CLICKS} are needed to "
             "start: click more joints or start at another frame."
         )
     prior = proportions(template, height)
     factors = np.zeros(len(prior.centre)) if fixed_body else prior.centre.copy()
-    body = template if fixed_body else shaped(template, factors)
+    body = template if fixed_body else body_of(template, factors)
     poses = rival_poses(body, camera, points_on(body), chosen, rivals)
     settings = settings or MonoSettings()
     if not fixed_body:
@@ -108,21 +110,24 @@ def initialise(
             for q in poses[: 1 if later else JOINT_FITS]
         ]
         factors = min(fits, key=lambda f: f[2])[1]
-        body = shaped(template, factors)
+        body = body_of(template, factors)
         poses = _distinct(*_solved(body, points_on(body), poses, chosen), body, rivals)
     search = PictureSearch(body, settings, chosen, floor=floor)
     found = search.optimise(poses, frame, points_on(body))
     if not fixed_body:
         # lengths fitted to many pictures are not changed by the contours of one
-        last = VOLUMETRIC if later else np.arange(len(factors))
+        last = VOLUMETRIC if later else np.r_[INTERNAL, VOLUMETRIC]
         for which, rounds in ((VOLUMETRIC, 2), (last, 1)):
             cost = _contour_cost(template, search, points_on, frame, found.values[0])
             factors = search_factors(cost, factors, which, prior, rounds)
-            body = shaped(template, factors)
+            body = body_of(template, factors)
             search = replace(search, body=body)
             found = search.optimise(found.values, frame, points_on(body))
-    found = found.take(distinct(body.joints(found.values), rivals, DISTINCT_M))
-    return InitialFit(body, found, factors, _residual(body, camera, points_on(body), found.values[0]))
+    found, points = found.take(distinct(body.joints(found.values), rivals, DISTINCT_M)), points_on(body)
+    seen = points.points[0, :, 2] > 0
+    world = body.skeleton.points(points.joint, points.offset, found.values[0])[seen]
+    square = ((camera.project_pinhole(world) - points.points[0, seen, :2]) ** 2).sum(1)
+    return InitialFit(body, found, factors, float(np.sqrt(square.mean())))
 
 
 def rival_poses(body: Body, camera: Camera, points: KeypointTerm, active: NDArray[np.int64], count: int) -> Array:
@@ -136,7 +141,7 @@ def rival_poses(body: Body, camera: Camera, points: KeypointTerm, active: NDArra
     count: largest number of poses.
     Returns: (M, D) poses, M <= count, best first.
     """
-    starts = np.stack([_placed(body, camera, points, yaw, name) for yaw in _yaws() for name in ("standing", "a")])
+    starts = np.stack([_placed(body, camera, points, yaw, name) for yaw in _YAWS for name in ("standing", "a")])
     poses, costs = _solved(body, points, starts, active)
     poses = _distinct(poses, costs, body, count)
     for _ in range(FLIP_ROUNDS):
@@ -154,14 +159,9 @@ def _later_pose(body: Body, camera: Camera, points: KeypointTerm, near: Array, a
 
     Which mirror image it is does not matter, since only the lengths are used.
     """
-    starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
+    starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _YAWS)]
     poses, costs = _solved(body, points, np.stack(starts), active)
     return poses[int(costs.argmin())]
-
-
-def _yaws() -> Array:
-    """Return the headings that are tried, rad."""
-    return np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 
 
 def _placed(body: Body, camera: Camera, points: KeypointTerm, yaw: float, name: str) -> Array:
@@ -224,19 +224,12 @@ def _contour_cost(
     frame: with the picture.
     pose: (D,) pose vector, rad and m.
     """
-    light = without_display(template)
+    template.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    light = replace(template, fine=template.coarse)  # contours need the coarse mesh only
 
     def cost(x: Array) -> float:
-        body = shaped(light, x)
+        body = body_of(light, x)
         found = replace(search, body=body).optimise(pose[None], frame, points_on(body), iterations=0)
         return float(found.columns["cost"][0])
 
     return cost
-
-
-def _residual(body: Body, camera: Camera, points: KeypointTerm, pose: Array) -> float:
-    """Compute the root mean square distance, px, of a posed body (D,) from the seen points."""
-    seen = points.points[0, :, 2] > 0
-    world = body.skeleton.points(points.joint, points.offset, pose)[seen]
-    apart = camera.project_pinhole(world) - points.points[0, seen, :2]
-    return float(np.sqrt((apart**2).sum(1).mean()))

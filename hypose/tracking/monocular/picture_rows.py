@@ -139,9 +139,7 @@ class Nodes(NamedTuple):
 
     def among(self, chosen: NDArray[np.bool_]) -> Nodes:
         """Select nodes by a mask (N,)."""
-        ends, place, uv, depth, normal, length, seen = self
-        at = uv[chosen], depth[chosen], normal[chosen]
-        return Nodes(ends[chosen], place[chosen], *at, length[chosen], seen[chosen])
+        return Nodes._make(column[chosen] for column in self)
 
 
 def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Nodes:

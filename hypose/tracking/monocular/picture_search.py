@@ -18,7 +18,8 @@ from hypose.errors import InputError
 from hypose.evidence.edges_flow import Flow, optical_flow
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.evidence.terms import KeypointTerm
-from hypose.geometry import Array
+from hypose.fitting.articulated import turned
+from hypose.geometry import Array, so3_left_jacobian
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.flips import mirrored
@@ -29,7 +30,6 @@ from hypose.tracking.monocular.pool import (
     SAMPLED,
     best_of,
     candidates,
-    covariances_by_turns,
     hessian_covariance,
     pooled,
     prune,
@@ -40,8 +40,6 @@ from hypose.tracking.monocular.problem import (
     MonoSolution,
     PictureEvidence,
     checked_picture,
-    field_of,
-    fixed_parts,
     frame_evidence,
     grey,
     newton_descent,
@@ -90,8 +88,8 @@ class PictureSearch:
         poses = h.values + self.settings.velocity * velocities
         poses[:, fixed.active] = np.clip(poses[:, fixed.active], fixed.lower, fixed.upper)
         flow = self._flow(picture, np.concatenate([h.values, poses]))
-        points, field = None if seen is None else self.points(seen, self.body), field_of(picture.image, self.settings)
-        frame.shared["evidence"] = frame_evidence(fixed, picture, points, field, flow)
+        points = None if seen is None else self.points(seen, self.body)
+        frame.shared["evidence"] = frame_evidence(fixed, picture, points, flow)
         columns = {"velocity": velocities, "before": h.values, "evidence": -h.relative_log_weights}
         return replace(h, values=poses, columns=columns)
 
@@ -156,7 +154,7 @@ class PictureSearch:
         """
         fixed, s = self._at(checked_picture(frame.frame).camera), self.body.skeleton
         found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
-        covariances = covariances_by_turns(self._covariances(fixed, found), found.values)
+        covariances = turned(self._covariances(fixed, found), so3_left_jacobian(found.values[:, 3:6]))
         around = s.joint_covariances(found.values[0], covariances[0])
         sight = self.body.joints(found.values[0]) - fixed.camera.position
         sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
@@ -198,21 +196,21 @@ class PictureSearch:
         picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
-        fixed, field = self._at(picture.camera), field_of(picture.image, self.settings)
-        evidence = frame_evidence(fixed, picture, points, field, None)
+        fixed = self._at(picture.camera)
+        evidence = frame_evidence(fixed, picture, points)
         found = self._solved(evidence, poses, poses, iterations // 2, iterations, predict=False)
         found = sorted(found, key=lambda s: s.evidence)
         cost, where = np.array([s.evidence for s in found]), np.stack([s.pose for s in found])
         still = np.zeros_like(where)
         pool = self._candidates(OPTIMISED, fixed, found, still, where, np.zeros(len(found)))
-        covariance = self._covariances(fixed, pool)
-        return Hypotheses(where, cost[0] - cost, covariance=covariance, columns={"cost": cost})
+        columns = {"cost": cost, "covariance": self._covariances(fixed, pool)}
+        return Hypotheses(where, cost[0] - cost, columns=columns)
 
     def _at(self, camera: Camera) -> Fixed:
         """Return the parts of the problem that stay the same as long as the camera does not change."""
         if not self._places or self._places[0].camera is not camera:
             active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
-            self._places[:] = [fixed_parts(self.body, camera, active, self.settings, self.floor)]
+            self._places[:] = [Fixed(self.body, camera, active, self.settings, self.floor)]
         return self._places[0]
 
     def _flow(self, picture: Picture, poses: Array) -> Flow | None:

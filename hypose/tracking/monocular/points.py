@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.body.anthropometry import body_of
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.evidence.frame import Keypoints
@@ -24,7 +25,7 @@ from hypose.fitting.rows import rows_of_keypoints
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.problem import Floor, floor_rows
-from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
+from hypose.tracking.monocular.proportions import INTERNAL, Proportions, skeleton_only
 from hypose.tracking.refinement import anatomical_prior
 
 PointsOn = Callable[[Body], KeypointTerm]
@@ -143,13 +144,13 @@ class _PointsProblem(PoseProblem[Array]):
         return out
 
     def body(self, shared: Array) -> Body:
-        return shaped(self.template, self.all_factors(shared))
+        return body_of(self.template, self.all_factors(shared))
 
     def shared_cost(self, shared: Array, body: Body) -> float:
         return 0.5 * float((((shared - self.prior.centre[INTERNAL]) / self.prior.sd[INTERNAL]) ** 2).sum())
 
     def shared_moved(self, shared: Array, step: Array) -> Array:
-        return np.clip(shared + step, self.prior.lower[INTERNAL], self.prior.upper[INTERNAL])
+        return np.clip(shared + step, *self.prior.interval[:, INTERNAL])
 
     def shared_rows(
         self, shared: Array, posed: Sequence[Posed], rows: Sequence[Rows]

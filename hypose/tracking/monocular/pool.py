@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.geometry import Array, so3_left_jacobian
+from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.resampling import distinct
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.settings import SearchSettings
 
@@ -122,40 +123,8 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
     first = best_of(pool)
     others = np.delete(np.arange(pool.count), first)
     ranked = np.array([first, *others[np.argsort(pool.columns["evidence"][others], kind="stable")]])
-    places = landmark_places(body, pool.values[ranked])
+    places = np.concatenate([body.joints(pool.values[ranked]), body.landmark_points(pool.values[ranked])], axis=1)
     return pool.take(ranked[distinct(places, settings.hypotheses, settings.distinct_m)])
-
-
-def distinct(places: Array, count: int, apart_m: float) -> list[int]:
-    """Select poses that differ from all better ones; at most count.
-
-    places: (M, L, 3) m, points by which poses are compared, the best pose first.
-    count: largest number of poses.
-    apart_m: poses differ where at least one point lies further apart than this, m.
-    Returns: their indices, best first.
-    """
-    keep: list[int] = []
-    for i in range(len(places)):
-        if all(np.linalg.norm(places[i] - places[k], axis=1).max() > apart_m for k in keep):
-            keep.append(i)
-        if len(keep) == count:
-            break
-    return keep
-
-
-def landmark_places(body: Body, poses: Array) -> Array:
-    """Compute joint centres and landmarks (N, L, 3), m, by which poses are compared."""
-    return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
-
-
-def covariances_by_turns(covariances: Array, poses: Array) -> Array:
-    """Convert covariances (N, D, D) of poses (N, D): the root's rotation vector becomes a small rotation in the
-    world.
-    """
-    out, turns = covariances.copy(), so3_left_jacobian(poses[:, 3:6])
-    out[:, 3:6] = turns @ out[:, 3:6]
-    out[:, :, 3:6] = out[:, :, 3:6] @ np.swapaxes(turns, 1, 2)
-    return out
 
 
 def hessian_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:

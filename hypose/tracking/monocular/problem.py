@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -60,15 +59,10 @@ def checked_picture(frame: Frame) -> Picture:
     if picture is None:
         raise InputError(f"Frame {frame.index} has no picture, which tracking with one camera needs; give its video.")
     (w, h), image = picture.camera.size, picture.image
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+    if image.shape != (h, w, 3) or image.dtype != np.uint8:
         raise InputError(
-            f"Frame {frame.index}: a picture must be (h, w, 3) uint8, got {image.shape} {image.dtype}; convert it to "
-            "8-bit BGR."
-        )
-    if image.shape[:2] != (h, w):
-        raise InputError(
-            f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {picture.camera.name} {w} x {h}; "
-            "resize the picture or use camera.scaled((width, height))."
+            f"Frame {frame.index}: a picture of camera {picture.camera.name} must be ({h}, {w}, 3) uint8, got "
+            f"{image.shape} {image.dtype}; convert it to 8-bit BGR, resize it or use camera.scaled((width, height))."
         )
     for silhouettes in picture.silhouettes:
         mask = silhouettes.masks[0]
@@ -233,101 +227,53 @@ def _spheres(body: Body, name: str, skin: Array) -> list[tuple[Array, float]]:
 
 def _may_meet(a: str, b: str) -> bool:
     """Decide whether two parts can run into each other and are not neighbours."""
-    kind_a, kind_b = a.split("_")[-1], b.split("_")[-1]
-    if a in _TRUNK:
-        a, b, kind_a, kind_b = b, a, kind_b, kind_a
-    if b in _TRUNK:
-        return kind_a in _ARM
-    same_side = a.split("_")[0] == b.split("_")[0]
-    if kind_a in _ARM and kind_b in _ARM or kind_a in _LEG and kind_b in _LEG:
-        return not same_side
-    return {kind_a, kind_b} in ({"wrist", "hip"}, {"elbow", "hip"})
+    kinds = {a.split("_")[-1], b.split("_")[-1]}
+    if kinds & {*_TRUNK}:
+        return bool(kinds & {*_ARM})
+    if kinds <= {*_ARM} or kinds <= {*_LEG}:
+        return a.split("_")[0] != b.split("_")[0]
+    return "hip" in kinds
 
 
-def prediction_spread(sigma: Array, settings: MonoSettings) -> Array:
-    """Compute the usual error (D,) of a predicted pose, one standard deviation, at the settings' frame rate.
-
-    sigma: (D,) usual motion per frame of a skeleton at 25 Hz.
-    """
-    return settings.motion_scale * sigma * (25.0 / settings.frame_rate)
-
-
-@dataclass(frozen=True)
 class Fixed:
     """Parts of the problem that do not change from frame to frame.
 
-    body: body of the person.
+    body: body of the person; its coarse mesh is compared with the pictures.
     camera: pinhole camera of the pictures.
+    active: (A,) ascending indices of the dof to estimate.
     settings: settings of the cost.
-    active: (A,) dof that are estimated.
-    moving: (V,) vertices of the coarse mesh of which these carry more than half of the weight.
+    floor: height of the floor in the world, m; None: unknown or none.
+    Attributes: those above (`floor` as a Floor), and
+    moving: (V,) vertices of the coarse mesh of which the active dof carry more than half of the weight.
     moves: (V + J, A) share of each active dof's motion that each vertex of the coarse mesh, and each joint, follows.
     spheres: prior against interpenetration.
-    floor: on which the person stands; None: unknown.
     lower, upper: (A,) joint limits.
     spread: (A,) usual error of the prediction of each active dof.
     posture: (A,) weight of the weak pull to the rest posture.
-    """
-
-    body: Body
-    camera: Camera
-    settings: MonoSettings
-    active: NDArray[np.int64]
-    moving: NDArray[np.bool_]
-    moves: Array
-    spheres: Spheres
-    floor: Floor | None
-    lower: Array
-    upper: Array
-    spread: Array
-    posture: Array
-
-
-def fixed_parts(
-    body: Body, camera: Camera, active: NDArray[np.int64], settings: MonoSettings, floor: float | None = None
-) -> Fixed:
-    """Build the parts of the problem that do not change from frame to frame.
-
-    body: its coarse mesh is compared with the pictures.
-    camera: camera of the pictures.
-    active: (A,) ascending indices of the dof to estimate.
-    settings: settings of the cost.
-    floor: its height in the world, m; None: unknown or none.
     Raises: InputError where the active dof are not dof of the body.
     """
-    s = body.skeleton
-    if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
-        raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
-    moves = s.moves[active].T.astype(np.float64)
-    weights = body.coarse.dense_weights(len(moves))
-    spread = prediction_spread(s.sigma, settings)[active]
-    posture = (settings.motion_scale / (settings.posture_scale * spread)) ** 2
-    posture[active < 6] = 0.0  # place and heading of the body have no usual value
-    return Fixed(
-        body,
-        camera,
-        settings,
-        active,
-        weights @ s.moves[active].any(0) > 0.5,
-        np.concatenate([weights @ moves, moves]),
-        part_spheres(body, settings.interpenetration),
-        floor_of(body, floor, settings),
-        s.lower[active],
-        s.upper[active],
-        spread,
-        posture,
-    )
 
-
-def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.float32]:
-    """Compute the edges (h, w, 2) of a picture; all 0 where edges are not used.
-
-    image: (h, w, 3) BGR.
-    settings: settings of the cost.
-    """
-    if not settings.edges:
-        return np.zeros((*image.shape[:2], 2), np.float32)
-    return edge_field(image, settings.edge.smoothing_px, settings.edge.strength)
+    def __init__(
+        self,
+        body: Body,
+        camera: Camera,
+        active: NDArray[np.int64],
+        settings: MonoSettings,
+        floor: float | None = None,
+    ) -> None:
+        s = body.skeleton
+        if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
+            raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
+        self.body, self.camera, self.active, self.settings = body, camera, active, settings
+        moves = s.moves[active].T.astype(np.float64)
+        weights = body.coarse.dense_weights(len(moves))
+        self.moving: NDArray[np.bool_] = weights @ s.moves[active].any(0) > 0.5
+        self.moves = np.concatenate([weights @ moves, moves])
+        self.spheres, self.floor = part_spheres(body, settings.interpenetration), floor_of(body, floor, settings)
+        self.lower, self.upper = s.lower[active], s.upper[active]
+        self.spread = settings.motion_scale * s.sigma[active] * (25.0 / settings.frame_rate)
+        self.posture = (settings.motion_scale / (settings.posture_scale * self.spread)) ** 2
+        self.posture[active < 6] = 0.0  # place and heading of the body have no usual value
 
 
 class MonoSolution(NamedTuple):
@@ -496,7 +442,7 @@ def newton_descent(
 
 
 def frame_evidence(
-    fixed: Fixed, picture: Picture, points: KeypointTerm | None, field: NDArray[np.float32], flow: Flow | None
+    fixed: Fixed, picture: Picture, points: KeypointTerm | None, flow: Flow | None = None
 ) -> PictureEvidence:
     """Build the evidence of one frame, with the pull to the rest posture but without a prediction.
 
@@ -504,8 +450,10 @@ def frame_evidence(
     picture: picture of the frame.
     points, flow: key points or clicked joints, and optical flow from the previous picture; None where there are
         none.
-    field: (h, w, 2) edges of the picture, from `field_of`.
     """
-    settings = fixed.settings
-    moving = moving_edges(field, flow, settings.edge.boundary_floor)
+    settings, edge = fixed.settings, fixed.settings.edge
+    field = np.zeros((*picture.image.shape[:2], 2), np.float32)
+    if settings.edges:
+        field = edge_field(picture.image, edge.smoothing_px, edge.strength)
+    moving = moving_edges(field, flow, edge.boundary_floor)
     return PictureEvidence(fixed, moving, flow, mask_contours(picture, settings), points)

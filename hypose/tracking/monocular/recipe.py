@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
@@ -80,7 +80,7 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
     poses, covariances = together(modes, back, motion.frame_rate)
     known = information(covariances, active) * ~motion.lost[:, None, None]
     if total > 2 and not motion.lost.all():
-        poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip().motion)
+        poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip.motion)
     around = np.stack([body.skeleton.joint_covariances(q, c) for q, c in zip(poses, covariances, strict=True)])
     solved = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around.astype(np.float32))
     return solved, ()
@@ -96,22 +96,20 @@ def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Fr
     return (estimate for _, estimate in tracker.follow(tracker.start(turned), frames))
 
 
-def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:
+def together(there: Modes, back: Modes, frame_rate: float) -> tuple[Array, Array]:
     """Average the poses of the forward and the backward pass over a clip, weighted by their costs.
 
     frame_rate: Hz.
-    settings: settings of the average; None: the usual ones.
     there: modes of the forward pass; back: modes of the backward pass, whose last frame is not used.
     Returns: poses (T, D); covariances (T, D, D) of the average, including the difference of the passes.
     """
-    o = settings or WholeClip()
     first, own = summed_up(there)
     second, other = summed_up(back, first)
     second[-1], other[-1] = first[-1], own[-1]
     age = (1 + np.arange(len(first))) / frame_rate
-    worse = np.clip((there.costs[:, 0] - back.costs[:, 0]) / o.temperature, -30, 30)
+    worse = np.clip((there.costs[:, 0] - back.costs[:, 0]) / WholeClip.temperature, -30, 30)
     worse[-1] = 0.0
-    share = 1 / (1 + (1 - np.exp(-age / o.settled)) * np.exp(worse))
+    share = 1 / (1 + (1 - np.exp(-age / WholeClip.settled)) * np.exp(worse))
     apart = first - second
     between = share * (1 - share)
     poses = second + share[:, None] * apart
@@ -146,19 +144,17 @@ def _by_turn(off: Array, poses: Array) -> Array:
     return out
 
 
-def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
+def information(covariances: Array, active: NDArray[np.int64]) -> Array:
     """Compute the information matrices (T, D, D) of the frames' poses, for solving the clip.
 
-    settings: settings of the average; None: the usual ones.
     covariances: (T, D, D), inverted over the active dof after widening.
     active: (A,) estimated dof; all others are fixed.
     """
-    o, given = settings or WholeClip(), np.asarray(covariances, dtype=np.float64)
-    out = np.zeros_like(given)
-    held = np.setdiff1d(np.arange(given.shape[1]), active)
+    out = np.zeros(covariances.shape)
+    held = np.setdiff1d(np.arange(len(out[0])), active)
     out[:, held, held] = _HELD
     rows, columns = np.ix_(active, active)
-    out[:, rows, columns] = np.linalg.inv(o.widening * given[:, rows, columns])
+    out[:, rows, columns] = np.linalg.inv(WholeClip.widening * covariances[:, rows, columns])
     return out
 
 

@@ -4,7 +4,7 @@ from typing import get_args
 import pytest
 
 from hypose.app.studio.catalog import Catalog, Kind, NotFound
-from hypose.app.studio.gesture_session import models_shown, sessions_shown
+from hypose.app.studio.gesture_session import models_shown, sources_shown
 
 
 def make(root):
@@ -86,4 +86,5 @@ def test_what_is_no_file_or_leads_out_is_not_listed_and_holds_nothing_up(tmp_pat
     catalog = Catalog(root)
     found = {kind: [catalog.shown(i.path) for i in catalog.items(kind)] for kind in get_args(Kind)}
     assert all(path.startswith("sparse") for paths in found.values() for path in paths)
-    assert [s["frames"] for s in sessions_shown(catalog)] == [0] and models_shown(catalog) == []
+    assert models_shown(catalog) == []
+    assert [s["gestures"] for s in sources_shown(catalog) if s["value"].startswith("session:")] == [[]]

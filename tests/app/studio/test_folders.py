@@ -132,7 +132,7 @@ def test_what_is_to_be_calibrated_is_a_recording_already(own_studio, folder, fil
 def test_every_camera_needs_its_clip_of_the_board(own_studio, folder, filmed):
     ask = wish(VIDEO, BOARD)
     del ask["views"][1]["board"]
-    assert "no clip of the board of cam2" in own_studio.get("/api/recordings", ask, status=400)["error"]
+    assert "no board of cam2" in own_studio.get("/api/recordings", ask, status=400)["error"]
     assert not (filmed / "recording.toml").exists()
 
 

@@ -35,7 +35,7 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
         assert until(socket, "said")["text"] == "Recorded as live/live."
         until(socket, "hello", lambda m: m["running"] is False)
     state = own_studio.get("/api/state")
-    assert [s["name"] for s in state["skeletons"]] == ["live"] and state["sessions"] == []
+    assert [s["name"] for s in state["skeletons"]] == ["live"]
     assert len(read_skeletons(own_studio.studio.catalog.root / "live" / "live").streams) == 2
     catalog = Catalog(own_studio.studio.catalog.root)
     made = plan_job("fuse", {"skeletons": state["skeletons"][0]["id"]}, catalog)
@@ -51,7 +51,6 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
         {"osc": 3},
         {"osc": "127.0.0.1:0"},
         {"osc": [], "record": True},
-        {"rate": 0},
         {"udp": 70000},
     ],
 )

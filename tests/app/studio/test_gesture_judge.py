@@ -37,15 +37,13 @@ def test_segments_that_were_undone_do_not_count():
     assert judge.reported()["frames"] == 3 and judge.reported([2])["ap"] is None
 
 
-def test_false_alarms_count_events_not_frames_of_movement():
+def test_false_alarms_count_over_the_time_of_movement():
     judge = Judge(KINECT)
+    assert judge.reported()["false_per_min"] is None
     for k in range(100):
-        judge.move(0.1 * k, found(9.0 if 20 <= k < 40 else 0.0), 5.0, 0.15)
+        judge.move(0.1 * k + (60 if k > 50 else 0), int(k == 20))
     reported = judge.reported()
-    assert reported["false_per_min"] == pytest.approx(60 / 9.9, rel=1e-6) and reported["tested_s"] == 9.9
-    other = Judge(KINECT)
-    other.move(0.0, found(9.0), None, 0.15)  # no threshold yet
-    assert other.reported()["false_per_min"] is None and other.reported()["tested_s"] == 0.0
+    assert reported["false_per_min"] == pytest.approx(60 / 9.8, rel=1e-6) and reported["tested_s"] == 9.8
 
 
 def test_what_a_page_changes_is_kept_within_bounds():

@@ -1,6 +1,7 @@
 """Recordings over the wire: facts, pictures, masks tried out and kept, clicked joints."""
 
 import json
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -40,7 +41,7 @@ def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
     plain = image(studio, f"{base}/4.jpg?width=120")
     assert plain.shape == (90, 120, 3)
     usual = image(studio, f"{base}/4.jpg?mask=only") > 127
-    timid = image(studio, f"{base}/4.jpg?mask=only&threshold=40&min_sd=30") > 127
+    timid = image(studio, f"{base}/4.jpg?mask=only&settings=" + quote('{"threshold": 40, "min_sd": 30}')) > 127
     assert 0.01 < usual.mean() < 0.3 and timid.mean() < 0.8 * usual.mean()
     assert not np.array_equal(image(studio, f"{base}/4.jpg?mask=edge"), image(studio, f"{base}/4.jpg?mask=fill"))
     # frames in any order are the same frames
@@ -186,15 +187,13 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
 
 def test_open_recordings_are_bounded(folder, monkeypatch):
     recordings = Recordings(Catalog(folder))
-    with recordings.opened(folder / "walk") as first, recordings.opened(folder / "walk") as again:
-        assert again is first
-    with recordings.opened(folder / "walk") as kept:
-        assert kept is first
+    first = recordings.opened(folder / "walk")
+    assert recordings.opened(folder / "walk") is first
     monkeypatch.setattr("hypose.app.studio.recordings._OPEN", 1)
-    with recordings.opened(folder / "walk", (0, 4)) as part, recordings.opened(folder / "walk", (2, 4)) as other:
-        assert part is not first and other is not part
-    with recordings.opened(folder / "walk", (2, 4)) as last:
-        assert last is other  # the last used one stays, the others went
-    with recordings.opened(folder / "walk") as opened:
-        assert opened is not first
-    recordings.drop()
+    part, other = recordings.opened(folder / "walk", (0, 4)), recordings.opened(folder / "walk", (2, 4))
+    assert part is not first and other is not part
+    assert recordings.opened(folder / "walk", (2, 4)) is other  # the last used one stays, the others went
+    assert recordings.opened(folder / "walk") is not first
+    before = part.row(1, 64)
+    recordings.close()
+    assert part.row(1, 64) == before  # what is still in use opens again

@@ -83,7 +83,7 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
         ("/api/recordings/RECORDING/image/cam9/0.jpg", 404),
         ("/api/recordings/RECORDING/image/cam1/0.jpg?mask=all", 400),
         ("/api/recordings/RECORDING/image/cam1/8.jpg", 400),
-        ("/api/recordings/RECORDING/image/cam1/1.jpg?mask=edge&threshold=many", 400),
+        ("/api/recordings/RECORDING/image/cam1/1.jpg?mask=edge&settings=many", 400),
         ("/api/recordings/RECORDING/starts/..%2f..%2frecording", 404),
         ("/api/jobs/none", 404),
         ("/static/../server.py", 404),

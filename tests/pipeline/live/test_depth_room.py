@@ -13,7 +13,7 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
-from hypose.io.videos.camera_sources import StreamEnded
+from hypose.io.videos.video import StreamEnded
 from hypose.pipeline.live.background_models import DepthViewBackground
 from hypose.pipeline.live.background_work import KeptFrame
 from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView

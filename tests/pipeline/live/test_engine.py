@@ -7,7 +7,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.pipeline.live.capture import CaptureOptions, LiveView
-from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveTrackingOptions
+from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine
 from hypose.pipeline.live.live_people import STATE_TRACKING
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
@@ -34,8 +34,8 @@ def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
     scene = slow_walk()
     stage, kept, names = Stage(scene, RATE, 8), Kept(), scene.given_rig.names
     in_step(monkeypatch, stage)
-    options = LiveTrackingOptions(CaptureOptions(RATE, countdown=0.0), measure=False)
-    engine = LiveEngine(scene.given_rig, [LiveView(n, "") for n in names], options, [kept])
+    views, options = [LiveView(n, "") for n in names], CaptureOptions(RATE, countdown=0.0)
+    engine = LiveEngine(scene.given_rig, views, options, measure=False, listeners=[kept])
     try:
         engine.start()
         until(lambda: EMPTY_ROOM in kept.phases and engine.phase != EMPTY_ROOM, engine)
@@ -73,7 +73,7 @@ def test_one_camera_is_not_enough():
 def test_a_camera_that_cannot_be_opened_is_named_and_nothing_stays(tmp_path):
     cameras = camera_rig("humaneva-4")
     views = [LiveView(n, str(tmp_path / f"{n}.mp4")) for n in cameras.names]
-    engine = LiveEngine(cameras, views, LiveTrackingOptions(measure=False))
+    engine = LiveEngine(cameras, views, measure=False)
     try:
         with pytest.raises(InputError, match=r"There is no file .*cam1\.mp4"):
             engine.start()

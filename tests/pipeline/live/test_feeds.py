@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.videos.camera_sources import CameraImage, StreamEnded
+from hypose.io.videos.video import CameraImage, StreamEnded
 from hypose.pipeline.live import feeds
 from hypose.pipeline.live.feeds import CameraFeed
 from hypose.pipeline.settings import SETTINGS
@@ -157,7 +157,7 @@ def test_a_camera_that_stalls_is_told(monkeypatch):
         play(camera, range(10), begin=clock.monotonic() - 5.0)
         until(arrived, lambda: made.status().received == 10)
         status = made.status()
-        assert status.trouble.startswith("no picture for") and status.rate == 0.0 and not status.ended
+        assert status.trouble == "it sends no pictures" and status.rate == 0.0 and not status.ended
         play(camera, [0], begin=clock.monotonic())
         until(arrived, lambda: made.status().received == 11)
         assert made.status().trouble == ""

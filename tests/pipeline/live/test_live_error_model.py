@@ -9,7 +9,7 @@ from hypose.pipeline.subject import TrackedSubject
 from hypose.pipeline.track_loop import tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import KNOWN_POSES, scaled_to_height, start_in_pose
+from hypose.tracking.start_search import scaled_to_height, starts_in_frame
 from tests.live_scenes import RATE
 
 
@@ -18,7 +18,7 @@ def followed(walk, frames):
     """A tracker, and (frame, estimate) of one second."""
     body = scaled_to_height(human(), walk.subject.stature)
     tracker = tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
-    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
+    start = starts_in_frame(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), body.stature)[0].pose
     state, out = tracker.start(start), []
     for frame in frames[:25]:
         state, estimate = tracker.step(state, frame)

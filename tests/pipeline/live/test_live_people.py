@@ -92,7 +92,7 @@ def test_frames_at_half_the_rate_are_followed_at_that_rate(walk, frames):
     with ThreadPoolExecutor(1) as pool:
         people = people_for(frames, pool)
         poses = [s.pose() for f in frames[::2] for s in step_with_duels(people, f)]
-        assert people.people[0].tracker.settings.frame_rate == pytest.approx(12.5, rel=0.35)
+        assert people.people[0].member.tracker.settings.frame_rate == pytest.approx(12.5, rel=0.35)
         end_duel(people)
     # so few pictures of so few pixels may be taken for somebody who turns around: not for long
     off = errors(poses, walk)
@@ -141,8 +141,8 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
         people = people_for(frames, pool, height=walk.subject.stature)
         k = next(f.index for f in frames if step_with_duels(people, f))
         (person,) = people.people
-        body = person.tracker.body
-        turned = person.tracker.start(turned_around(body, person.state.pose))
+        body = person.member.tracker.body
+        turned = person.member.tracker.start(turned_around(body, person.member.state.pose))
         person.member = replace(person.member, state=turned)
         s = body.skeleton
         left, right = s.joint("left_hip"), s.joint("right_hip")

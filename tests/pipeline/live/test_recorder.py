@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from time import sleep
 
 import pytest
@@ -115,23 +116,14 @@ def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
 
 def test_what_was_written_before_the_disk_was_full_is_a_recording(tmp_path, walk, frames, poses, monkeypatch):
     """The disk is full in the middle of an instant, of which nothing is left."""
-    made, write = recorder(tmp_path / "live", walk), LiveRecorder._write
+    made, write, place = recorder(tmp_path / "live", walk), Path.write_bytes, walk.given_rig.names[2]
 
-    def full(size):
-        raise OSError(28, "No space left on device")
+    def until_full(path, data):
+        if path.stem == "000005" and path.parent.name == place:
+            raise OSError(28, "No space left on device")
+        return write(path, data)
 
-    def until_full(seen, rows):
-        if made.written == 5:
-            rows.write('{"n":5')
-            rows.flush()
-            made._last[2], seen = (
-                None,
-                replace(seen, captured=replace(seen.captured, jpegs=(seen.captured.jpegs[0], *[None] * 3))),
-            )
-            monkeypatch.setattr(recorder_module, "_black", full)
-        write(made, seen, rows)
-
-    monkeypatch.setattr(made, "_write", until_full)
+    monkeypatch.setattr(Path, "write_bytes", until_full)
     for frame in frames[:8]:
         made.seen(seen(frame, poses[-1]))
     with pytest.raises(InputError, match="No space left on device.; the recording ends there; the 5 instants before"):

@@ -71,6 +71,13 @@ function takeStep(live: Live, step: GestureStep): void {
   live.log.length = Math.min(live.log.length, LOGGED);
 }
 
+/** What delivers the pictures, in words. */
+export function sourceTitle({ source, title }: GestureSession): string {
+  const [kind, person] = source.split(":");
+  if (kind === "simulated") return `Simulated person ${Number(person ?? 0) + 1}`;
+  return kind === "session" ? `Recorded session ${title}` : "RealSense camera";
+}
+
 /** Something a command changes; two that differ show that a command was answered. */
 export function signature(step: GestureStep | null): string {
   if (!step) return "";

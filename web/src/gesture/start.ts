@@ -56,7 +56,7 @@ export function startPage(state: State, begin: (request: GestureRequest) => void
   const draw = (): void => form.replaceChildren(...teachFields(state, kinds, wish, draw));
   draw();
   const goOn = (model: ModelEntry): void => {
-    wish.gesture = model.gestures[0] ?? "tee";
+    wish.gesture = model.gesture;
     wish.resume = model.id;
     draw();
     form.querySelector<HTMLElement>("button[type=submit]")?.focus();
@@ -109,7 +109,7 @@ function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void):
 
 /** From the beginning, or on with a model of the same gesture. */
 function learnSelect(state: State, wish: Wish): HTMLElement {
-  const again = state.models.filter((m) => m.growing && m.gestures.length === 1 && m.gestures[0] === wish.gesture);
+  const again = state.models.filter((m) => m.gesture === wish.gesture);
   if (!again.some((m) => m.id === wish.resume)) wish.resume = NEW;
   const choices = [{ value: NEW, label: "from the beginning" }, ...again.map((m) => ({ value: m.id, label: `on with ${m.path}` }))];
   return select<string>("Learn", choices, wish.resume, (value) => (wish.resume = value));
@@ -203,19 +203,19 @@ function taught(state: State, wish: Wish, begin: (request: GestureRequest) => vo
   const watch = (models: ModelEntry[]): void =>
     begin({ t: "start", mode: "run", models: models.map((m) => m.id), source: wish.source, fast: wish.fast });
   for (const model of state.models) {
-    const t = model.thresholds.find((v) => v !== null);
+    const t = model.threshold;
     list.append(
       h(
         "div",
         { class: "model" },
         gesturePicture(model.id),
-        h("div", { class: "grow" }, h("b", {}, model.gestures.join(", ")), h("div", { class: "dim" }, model.path, t ? ` · threshold ${t.toFixed(1)} cm²` : " · no threshold yet")),
-        model.growing && model.gestures.length === 1 ? button("Go on", () => goOn(model), { icon: "plus", title: "Teach it more" }) : null,
+        h("div", { class: "grow" }, h("b", {}, model.gesture), h("div", { class: "dim" }, model.path, t ? ` · threshold ${t.toFixed(1)} cm²` : " · no threshold yet")),
+        button("Go on", () => goOn(model), { icon: "plus", title: "Teach it more" }),
         t ? button("Watch", () => watch([model]), { icon: "play", title: "Watch for this gesture" }) : null,
       ),
     );
   }
-  const each = [...new Map(state.models.filter((m) => m.gestures.length === 1 && m.thresholds[0]).map((m) => [m.gestures[0], m])).values()];
+  const each = [...new Map(state.models.filter((m) => m.threshold).map((m) => [m.gesture, m])).values()];
   if (each.length > 1) list.append(h("div", { class: "row" }, button(`Watch for all ${each.length}`, () => watch(each.slice(0, 16)), { icon: "play" })));
   list.append(h("p", { class: "dim" }, "Watching uses the source chosen at the left."));
   return list;

@@ -1,4 +1,4 @@
-import type { Socket } from "../api";
+import { address, type Socket } from "../api";
 import { answered, touchedAt, type Counters } from "../counters";
 import type { GestureCommand, GestureRequest, GestureStep, Picture } from "../protocol";
 import { button, toggle, type Toggle } from "../ui/buttons";
@@ -6,7 +6,7 @@ import { h, memory, setText } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
 import { play, setMuted } from "../ui/sounds";
 import { onTheme } from "../ui/theme";
-import { signature, type Live } from "./live";
+import { signature, sourceTitle, type Live } from "./live";
 import { Classes } from "./classes";
 import { Numbers } from "./numbers";
 import { Prompt } from "./prompt";
@@ -26,6 +26,9 @@ export class Trainer {
   private readonly pause: HTMLButtonElement;
   private readonly commands = new Map<GestureCommand, HTMLButtonElement>();
   private readonly saved = h("span", { class: "dim saved" });
+  /** The hand as it was learned so far. */
+  private readonly hand = h("span", { class: "thumbnail gesture-picture", hidden: true });
+  private shownSaved: Live["saved"] = null;
   private readonly slider = h("input", { type: "range", min: 0, max: 1000, "aria-label": "Threshold", title: "Threshold" });
   private readonly sliderValue = h("output", { class: "number" }, "–");
   private readonly automatic: HTMLButtonElement;
@@ -93,8 +96,19 @@ export class Trainer {
     const test = live.step?.phase === "test";
     for (const name of ["next", "test"] as const) this.commands.get(name)!.disabled = over || test;
     this.showBeside();
+    if (live.saved !== this.shownSaved) this.showHand((this.shownSaved = live.saved));
     setText(this.saved, live.saved ? `Saved: ${live.saved.path}` : live.session?.mode === "train" ? "Recording" : "");
     if (over && this.after.hidden) this.showAfter(live.ended!);
+  }
+
+  /** After every saving: of the frames that the gesture was learned from the one in the middle. */
+  private showHand(saved: Live["saved"]): void {
+    if (!saved) return;
+    const src = address(`/api/models/${saved.model}/thumbnail.jpg`, { at: Date.now() });
+    const image = h("img", { alt: "The gesture as it was learned", src, onload: () => {
+      this.hand.hidden = false;
+      this.hand.replaceChildren(image);
+    } });
   }
 
   /** The column beside the picture: a few times a second is enough, and leaves the time to the picture. */
@@ -248,7 +262,7 @@ export class Trainer {
       h(
         "aside",
         { class: "gesture-side" },
-        h("div", { class: "side-head" }, h("h1", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session?.title ?? ""), this.saved),
+        h("div", { class: "side-head" }, this.hand, h("h1", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session ? sourceTitle(this.live.session) : ""), this.saved),
         this.scores.element,
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }), this.sliderValue, this.automatic),

@@ -8,7 +8,7 @@ import { h, memory, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { kinds } from "./form";
-import type { CameraSensor, CamerasMessage, CamerasRunning } from "./messages";
+import type { CamerasMessage, CamerasRunning, CameraStatus } from "./messages";
 import { People } from "./people";
 
 const TELL_MS = 250;
@@ -33,6 +33,7 @@ export function camerasLive(root: HTMLElement): Screen {
   const words = h("ul", { class: "live-words", "aria-live": "polite" });
   const said = { rate: h("b", { class: "number" }, "–"), latency: h("b", { class: "number" }, "–"), skipped: h("b", { class: "number" }, "–") };
   const form = h("div", { class: "live-form" });
+  const devices = h("datalist", { id: "live-devices" });
   const stages = h("p", { class: "dim live-stages" });
   const side = h(
     "aside",
@@ -89,7 +90,7 @@ export function camerasLive(root: HTMLElement): Screen {
       const found = await get<Recording>(`/api/recordings/${asked}`).catch(() => null);
       if (asked !== chosen) return;
       for (const { name } of found?.views ?? []) {
-        const input = h("input", { type: "text", maxlength: 500, spellcheck: "false", "aria-label": `Where ${name} is`, value: memory.get(`cameras.at.${name}`) ?? "" });
+        const input = h("input", { type: "text", list: devices.id, maxlength: 500, spellcheck: "false", "aria-label": `Where ${name} is`, value: memory.get(`cameras.at.${name}`) ?? "" });
         input.addEventListener("input", () => {
           memory.set(`cameras.at.${name}`, input.value.trim()); // the form may be made anew while somebody writes
           tellEmpty(inputs);
@@ -115,8 +116,9 @@ export function camerasLive(root: HTMLElement): Screen {
     answered = () => (start.disabled = false);
     form.replaceChildren(
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Cameras"), select("Recording", recordings.map((r) => ({ value: r.id, label: r.name })), chosen, (id) => { chosen = id; void look(); })),
-      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (0), or the address of a stream."),
+      h("p", { class: "dim" }, "The recording's videos are played again and again, or give where its cameras are now: the number of one of this computer (a field lists those that were found), or the address of a stream."),
       where,
+      devices,
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "People"), most),
       h("details", { open: osc.value !== "" || vmc.value !== "" }, h("summary", { class: "dim" }, "Where poses are sent"), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "OSC to"), osc), h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Avatar at"), vmc)),
       h("div", { class: "live-row" }, h("span", { class: "field-name" }, "Record"), h("label", {}, record, "pictures, masks and poses")),
@@ -150,18 +152,19 @@ export function camerasLive(root: HTMLElement): Screen {
 
   const showStatus = (message: CamerasMessage & { t: "status" }): void => {
     counters["phase"] = message.phase;
-    const blind = message.sensors.length > 0 && !message.sensors.some((s) => s.alive);
+    const blind = message.cameras.length > 0 && message.cameras.every((c) => c.trouble);
     const phase = blind ? "No camera shows anything" : (PHASES[message.phase] ?? message.phase);
     setText(state, `${phase}${!blind && message.phase === "following" && !message.fitted ? "; the body is being measured" : ""}.`);
     // what is told each second is read out only when it is something else
     if (message.words.join("\n") !== [...words.children].map((li) => li.textContent).join("\n")) words.replaceChildren(...message.words.map((text) => h("li", {}, text)));
-    rows.replaceChildren(...message.sensors.map(cameraRow));
-    for (const { name, alive } of message.sensors) {
+    rows.replaceChildren(...message.cameras.map(cameraRow));
+    for (const { name, trouble } of message.cameras) {
       const shown = pictures.get(name);
-      shown?.box.toggleAttribute("data-gone", !alive);
-      if (shown) setText(shown.name, alive ? name : `${name}: no picture now`);
+      shown?.box.toggleAttribute("data-gone", trouble !== "");
+      if (shown) setText(shown.name, trouble ? `${name}: no picture now` : name);
     }
-    people?.stand(message.sensors);
+    const places = running ? running.places : [];
+    people?.stand(message.cameras.map((c, k) => ({ ...c, alive: !c.trouble, registered: true, residual: null, place: places[k] ?? null })));
     said.rate.textContent = message.per_second.toFixed(0);
     said.skipped.textContent = (100 * message.skipped).toFixed(0);
     const spent = Object.entries(message.stages_ms).filter(([, ms]) => ms !== null);
@@ -175,15 +178,17 @@ export function camerasLive(root: HTMLElement): Screen {
   const heard = (message: CamerasMessage): void => {
     if (message.t === "hello") {
       people ??= new People(message.joints, message.parents, space);
+      devices.replaceChildren(...message.devices.map(({ number, name }) => h("option", { value: number }, `${number}: ${name}`)));
       showRunning(message.running);
     } else if (message.t === "frame") {
-      counters["poses"] = message.n;
-      const seen = message.people.filter((p) => p.seen);
+      const [first] = message.people;
+      counters["poses"] = first!.n;
+      const seen = message.people.filter((p) => !p.lost).map((p) => ({ ...p, seen: true, sensors: p.cameras }));
       people?.show(seen);
       if (seen.length) setText(noPerson, "");
       if (performance.now() - told < TELL_MS) return;
       told = performance.now();
-      said.latency.textContent = message.latency_ms.toFixed(0);
+      said.latency.textContent = first!.latency_ms.toFixed(0);
     } else if (message.t === "status") showStatus(message);
     else if (message.t === "pictures") {
       for (const { name, jpeg } of message.cameras) {
@@ -227,11 +232,11 @@ function startedText({ played, ws, osc, vmc, record }: CamerasRunning): string {
   return [played ? "The recording's videos are played." : "The cameras are open.", `Poses: ws://127.0.0.1:${ws}/out.`, ...more].filter(Boolean).join(" ");
 }
 
-function cameraRow(c: CameraSensor): HTMLElement {
+function cameraRow(c: CameraStatus): HTMLElement {
   return h(
     "tr",
     {},
-    h("td", {}, h("span", { class: `chip ${c.alive ? "good" : "bad"}` }, c.alive ? "there" : "missing"), " ", c.name),
+    h("td", {}, h("span", { class: `chip ${c.trouble ? "bad" : "good"}` }, c.trouble ? "missing" : "there"), " ", c.name),
     h("td", { class: "number" }, `${c.rate.toFixed(0)} Hz`),
     h("td", { class: "number" }, String(c.lost)),
   );

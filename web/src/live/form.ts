@@ -28,7 +28,7 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
     const toOsc = osc.value.trim();
     memory.set("live.osc", toOsc);
     start.disabled = true;
-    send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30, simulated, osc: toOsc || null, record: record.checked });
+    send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), simulated, osc: toOsc || null, record: record.checked });
   }, { kind: "primary", icon: "play" });
   const stop = button("Stop", () => send({ t: "stop" }), { icon: "pause" });
   const inputs = [source, udp, ws, osc, record];

@@ -24,16 +24,30 @@ export interface CamerasRunning {
   vmc: string | null;
   record: string | null;
   played: boolean;
+  /** (4, 4) of every camera to the world, m. */
+  places: number[][][];
 }
-export interface CameraSensor extends SensorStatus {
+export interface CameraStatus {
+  name: string;
+  rate: number;
   lost: number;
   trouble: string;
 }
+/** A pose as on /out (docs/cameras-live.md). */
+export interface CameraPose {
+  id: number;
+  n: number;
+  latency_ms: number;
+  lost: boolean;
+  cameras: string[];
+  joints: (number | null)[][];
+  sd: (number | null)[];
+}
 export type CamerasMessage =
-  | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[] }
-  | { t: "frame"; n: number; time: number; latency_ms: number; people: (Person & { low_confidence: string[] })[] }
+  | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[]; devices: { number: number; name: string }[] }
+  | { t: "frame"; people: CameraPose[] }
   | {
-      t: "status"; phase: string; words: string[]; sensors: CameraSensor[]; poses: number; per_second: number; skipped: number;
+      t: "status"; phase: string; words: string[]; cameras: CameraStatus[]; poses: number; per_second: number; skipped: number;
       latency_ms: (number | null)[]; stages_ms: Record<string, number | null>; fitted: boolean;
     }
   | { t: "pictures"; cameras: { name: string; jpeg: string | null }[] }

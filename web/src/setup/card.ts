@@ -75,9 +75,10 @@ export class JobCard {
 
 function detail(stage: Stage): string {
   const parts = [stage.total > 1 ? `${stage.done} of ${stage.total}` : ""];
-  if (stage.per_s && stage.unit === "frames") parts.push(`${stage.per_s.toFixed(stage.per_s < 10 ? 1 : 0)} frames/s`);
+  const rate = stage.seconds > 0.2 ? stage.done / stage.seconds : 0;
+  if (rate && stage.unit === "frames") parts.push(`${rate.toFixed(rate < 10 ? 1 : 0)} frames/s`);
   if (stage.done >= stage.total) parts.push(duration(stage.seconds));
-  else if (stage.left_s !== null) parts.push(`${duration(stage.left_s)} left`);
+  else if (rate) parts.push(`${duration((stage.total - stage.done) / rate)} left`);
   return parts.filter(Boolean).join(" · ");
 }
 

@@ -46,7 +46,7 @@ export class MaskStep {
     private readonly kept: () => void,
   ) {
     this.settings = { ...recording.mask_settings };
-    this.pictures = new CameraPictures(recording, "Mask", () => ({ frame: this.pictures.frame, query: { mask: this.shown, ...this.different() } }), () => {
+    this.pictures = new CameraPictures(recording, "Mask", () => ({ frame: this.pictures.frame, query: { mask: this.shown, settings: JSON.stringify(this.settings) } }), () => {
       counters.pictures++;
       if (this.asked) answered(counters, this.asked);
     });
@@ -110,14 +110,6 @@ export class MaskStep {
     this.asked = performance.now();
     this.save.disabled = false;
     this.pictures.later();
-  }
-
-  /** The settings that are not those of the recording. */
-  private different(): Record<string, number | boolean | string> {
-    const before = this.recording.mask_settings;
-    return Object.fromEntries(
-      Object.entries(this.settings).filter(([k, v]) => v !== before[k] && (typeof v === "number" || typeof v === "boolean" || typeof v === "string")),
-    ) as Record<string, number | boolean | string>;
   }
 
   private async keep(): Promise<void> {
