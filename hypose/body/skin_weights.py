@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_matrix, csc_matrix, identity
-from scipy.sparse.linalg import spsolve
+from scipy.sparse import coo_matrix, csc_matrix, diags, identity
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu, spsolve
 from scipy.spatial import KDTree
 
 from hypose.body.body import Body, enclosed_volume
@@ -108,9 +109,6 @@ def heat_weights(vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: 
     Returns: (V, J), not negative, rows sum to 1.
     Raises: InputError where the mesh has no face, or a vertex without face.
     """
-    from scipy.sparse import csc_matrix, diags
-    from scipy.sparse.linalg import splu
-
     library = extra("robust_laplacian", "A mesh of a person", "mesh", "robust-laplacian")
     v = np.ascontiguousarray(vertices, dtype=np.float64)
     f = np.ascontiguousarray(faces, dtype=np.int64)
@@ -165,8 +163,6 @@ def carried_weights(
     Returns: (P, J), the mean over the nearest places of the mesh that face the same way, so that a hand next to a thigh
         does not get the thigh's weights.
     """
-    from scipy.spatial import KDTree
-
     v, w = np.asarray(vertices, dtype=np.float64), np.asarray(weights, dtype=np.float64)
     f = np.asarray(faces, dtype=np.int64)
     p, n = np.asarray(points, dtype=np.float64), np.asarray(normals, dtype=np.float64)
@@ -190,10 +186,7 @@ def carried_weights(
 
 def vertex_normals(vertices: Array, faces: NDArray[np.integer]) -> Array:
     """Compute unit outward normals (V, 3) of vertices (V, 3), weighted by the areas of the faces (F, 3)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    n = np.cross(b - a, c - a)
-    flat = faces.ravel()
-    rows = np.repeat(n, 3, axis=0)
+    flat, rows = faces.ravel(), np.repeat(_across(vertices, faces), 3, axis=0)
     out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
 
@@ -206,9 +199,6 @@ def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np
     faces: (F, 3).
     Returns: (V, B).
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     n = len(near)
     _, part = connected_components(coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)))
@@ -350,6 +340,6 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
     return out
 
 
-def _across(v: Array, f: Faces) -> Array:
+def _across(v: Array, f: NDArray[np.integer]) -> Array:
     """Compute the outward normals (F, 3) of faces, as long as twice their area."""
     return np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])

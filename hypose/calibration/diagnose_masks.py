@@ -193,10 +193,8 @@ def _gross_masks(seen: MaskViews, o: Limits) -> tuple[list[Finding], MaskViews]:
     def trials(cameras: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
         def turned(c: int, factor: Array) -> list[MaskTrack]:
             middle, track = (np.array(cameras[c].size) - 1) / 2, tracks[c]
-            outline, changed = (
-                tuple(None if p is None else middle + factor * (p - middle) for p in parts)
-                for parts in (track.outline, track.changed)
-            )
+            outline = middle + factor * (track.outline - middle)
+            changed = tuple(None if p is None else middle + factor * (p - middle) for p in track.changed)
             return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
 
         return geometric_trials(cameras, tracks, turned, lambda order: [tracks[k] for k in order])

@@ -163,13 +163,13 @@ def _independent(pixels: Array, scale_px: float) -> Array:
 class MaskTrack:
     """Features of one view's masks over T frames, for timing.
 
-    outline: T convex hulls (n, 2), px, or None.
+    outline: (T, n, 2) convex hulls, px, the last point of each repeated; NaN where there is no mask.
     changed: T sets of pixels (m, 2) that differ between frames t - 2 and t + 2, or None.
     area: (T,) px.
     cut: (T,) whether the mask touches the image border.
     """
 
-    outline: tuple[Array | None, ...]
+    outline: Array
     changed: tuple[Array | None, ...]
     area: Array
     cut: NDArray[np.bool_]
@@ -178,10 +178,9 @@ class MaskTrack:
         """Select the frames (n,) of the track; frames outside of it have no mask."""
         n = len(self.area)
         inside, near = (frames >= 0) & (frames < n), np.clip(frames, 0, n - 1)
-        shown = list(zip(near.tolist(), inside.tolist(), strict=True))
         return MaskTrack(
-            tuple(self.outline[k] if ok else None for k, ok in shown),
-            tuple(self.changed[k] if ok else None for k, ok in shown),
+            np.where(inside[:, None, None], self.outline[near], np.nan),
+            tuple(self.changed[k] if ok else None for k, ok in zip(near.tolist(), inside.tolist(), strict=True)),
             np.where(inside, self.area[near], 0.0),
             self.cut[near] | ~inside,
         )
@@ -189,7 +188,8 @@ class MaskTrack:
     @property
     def size(self) -> float:
         """Median over the frames of the person's longer side, px; 0 without masks."""
-        return float(np.median([np.ptp(h, axis=0).max() for h in self.outline if h is not None] or [0.0]))
+        sides = np.ptp(self.outline[self.area > 0], axis=1).max(1)
+        return float(np.median(sides)) if len(sides) else 0.0
 
 
 def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
@@ -206,9 +206,11 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
         masks = [m if m is not None and m.any() else None for m in found]
         steady = [_majority(masks, t) for t in range(len(masks))]
         edges = [() if m is None else (m[:2], m[-2:], m[:, :2], m[:, -2:]) for m in masks]
+        hulls = [np.full((1, 2), np.nan) if m is None else _hull(m) for m in masks]
+        longest = max(len(hull) for hull in hulls)
         out.append(
             MaskTrack(
-                tuple(None if m is None else _hull(m) for m in masks),
+                np.stack([np.pad(hull, ((0, longest - len(hull)), (0, 0)), mode="edge") for hull in hulls]),
                 tuple(_changed(steady, t) for t in range(len(masks))),
                 np.array([0.0 if m is None else m.sum() for m in masks]),
                 np.array([any(edge.any() for edge in four) for four in edges]),
@@ -248,16 +250,13 @@ def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) 
     Returns: angles about the baseline (2, T, 2), rad, and pixels per radian (2, T, 2), for view a and view b; NaN where
         a view has no mask, is cut by the image border, or contains the epipole.
     """
-    out, size = np.full((2, len(tracks[a].area), 2), np.nan), np.full((2, len(tracks[a].area), 2), np.nan)
+    out, size = np.full((2, 2, len(tracks[a].area), 2), np.nan)
     frame = _pencil(rig, a, b)
     for side, c in enumerate((a, b)):
-        for t, hull in enumerate(tracks[c].outline):
-            if hull is None or tracks[c].cut[t]:
-                continue
-            angle, px = _angles(rig, c, hull, frame)
-            if np.ptp(angle) < 0.9 * np.pi:
-                k = [int(angle.argmin()), int(angle.argmax())]
-                out[side, t], size[side, t] = angle[k], px[k]
+        angle, px = _angles(rig, c, tracks[c].outline, frame)
+        ends = np.stack([angle.argmin(1), angle.argmax(1)], 1)
+        whole = ~tracks[c].cut & (np.ptp(angle, axis=1) < 0.9 * np.pi)
+        out[side, whole], size[side, whole] = (np.take_along_axis(of, ends, 1)[whole] for of in (angle, px))
     return out, size
 
 
@@ -488,15 +487,14 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
     """Compute the planes through the baseline and pixels.
 
     c: index of the camera.
-    pixels: (n, 2) px, undistorted.
+    pixels: (..., 2) px, undistorted.
     pencil: (3, 3) frame of the pencil of planes.
-    Returns: angle (n,) of each plane about the baseline, rad, and pixels per radian there (n,).
+    Returns: angle (...) of each plane about the baseline, rad, and pixels per radian there (...).
     """
     camera = rig[c]
-    d = _homogeneous(pixels) @ np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3]
-    length = np.linalg.norm(d, axis=1)
-    along, x, y = (d @ pencil.T).T
-    sine = np.sqrt(np.maximum(length**2 - along**2, 1e-12))
+    turned = np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3] @ pencil.T
+    along, x, y = np.moveaxis(_homogeneous(pixels) @ turned, -1, 0)
+    sine = np.hypot(x, y)
     return np.arctan2(y, x), camera.K[0, 0] * sine
 
 

@@ -28,6 +28,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.mask_distance import signed_distance
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, FrameSource, Keypoints, Silhouettes
+from hypose.evidence.outlines import bounding_box
 from hypose.geometry import Array
 from hypose.io.videos.video import Sound
 
@@ -96,10 +97,10 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
         return before
     if share >= 1 - WHOLE or not before.any():
         return after
-    h, w = before.shape
-    size = np.array([[w, h], [w, h]])
-    d = signed_distance(np.stack([before, after]).astype(np.uint8), size)
-    mixed = ((1 - share) * d[0] + share * d[1] < 0).astype(np.uint8)
+    y0, y1, x0, x1 = bounding_box(before | after, 1) or (0, 0, 0, 0)
+    distance = [signed_distance(mask[y0:y1, x0:x1]) for mask in (before, after)]
+    mixed = np.zeros_like(before)
+    mixed[y0:y1, x0:x1] = (1 - share) * distance[0] + share * distance[1] < 0
     return mixed if mixed.any() else (before if share < 0.5 else after)
 
 

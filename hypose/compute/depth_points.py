@@ -1,8 +1,6 @@
-"""Extract from a depth map the points of a person's surface, and the things in front of an empty room."""
+"""Extract from a depth map the points of a person's surface, medians of its parts, and fill its holes."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -72,49 +70,6 @@ def points_of_surface(
         left = left[~good & (at[left] < last[left])]
     made = cosines > 0
     return points[made], normals[made], cosines[made]
-
-
-def before_room(
-    depth: NDArray[np.float32], room: NDArray[np.float32], sd: NDArray[np.float32], sds: float, least_m: float
-) -> NDArray[np.uint8]:
-    """Find the pixels at which a depth map lies in front of the empty room.
-
-    depth, room, sd: (h, w) m: depth map, empty room (0 = not known), and standard deviation.
-    sds, least_m: least distance, in standard deviations and in m.
-    Returns: (h, w) 1 where it lies in front, or where the room is not known.
-    """
-    near = room - depth > np.maximum(np.float32(sds) * sd, np.float32(least_m))
-    return ((near | (room <= 0)) & (depth > 0)).view(np.uint8)
-
-
-def things_before(
-    room: NDArray[np.float32],
-    person: NDArray[np.uint8],
-    corner: tuple[int, int],
-    camera: tuple[ArrayLike, ArrayLike],
-    limit_m: float,
-    floor_m: float,
-    calm: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
-) -> tuple[NDArray[np.uint8], int]:
-    """Find the pixels of things that are nearer than a limit, above the floor, and not of the person.
-
-    room: (h, w) m, 0 = not known.
-    person: (h, w) non-zero = person.
-    corner: (x, y) pixel of the whole map at which the arrays begin.
-    camera: intrinsic matrix (3, 3), px, and camera_from_world (4, 4).
-    limit_m: largest depth, m.
-    floor_m: height above the floor from which a pixel belongs to a thing, m.
-    calm: function that removes single pixels from a mask, before the floor is removed.
-    Returns: (h, w) 1 at those pixels, and their number.
-    """
-    out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
-    v, u = np.nonzero(out)
-    k, pose = (np.asarray(a, dtype=np.float64) for a in camera)
-    z = room[v, u].astype(np.float64)
-    across, down = (u + corner[0] - k[0, 2]) / k[0, 0] * z, (v + corner[1] - k[1, 2]) / k[1, 1] * z
-    up = pose[:3, 2]
-    out[v, u] = up[0] * across + up[1] * down + up[2] * z - pose[:3, 3] @ up >= floor_m
-    return out, int(np.count_nonzero(out))
 
 
 def middle_of_piece(labels: NDArray[np.integer], label: int, depth: NDArray[np.float32]) -> float:

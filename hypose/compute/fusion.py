@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.losses import lorentzian
+from hypose.compute.losses import lorentzian_weight
 from hypose.geometry import Array
 
 
@@ -47,29 +47,20 @@ def fit_frame(
     Returns: joints (J, 3) m; share of each sensor in each joint (K, J); variance (J,) m^2 per axis, of the quadratic at
         the result.
     """
-    x, (i, j), joint, stiff = (
-        predicted.copy(),
-        bones.T,
-        np.arange(len(predicted)),
-        np.where(lengths > 0, bone_weight, 0),
-    )
+    x, ends, stiff = predicted.copy(), np.eye(len(predicted))[bones], np.where(lengths > 0, bone_weight, 0.0)
+    between = ends[:, 0] - ends[:, 1]  # (B, J) 1 and -1 at the ends of each bone
+    full, alone = weights * data_weight, np.repeat(prior_weight, 3)
     for step in range(iterations + 1):
         off, c = points - x, scale * max(1.0, coarse / 2.0**step)
-        pull = lorentzian((off**2).sum(2) / c**2, weights * data_weight)[1]
-        force = prior_weight[:, None] * (predicted - x) + (pull[..., None] * off).sum(0)
-        along = x[i] - x[j]
-        length = np.sqrt((along**2).sum(1) + 1e-12)
-        along /= length[:, None]
-        tension = (stiff * (lengths - length))[:, None] * along
-        np.add.at(force, i, tension)
-        np.subtract.at(force, j, tension)
-        h, bend = np.zeros((len(x), 3, len(x), 3)), stiff[:, None, None] * along[:, :, None] * along[:, None]
-        h[joint, :, joint] = (prior_weight + pull.sum(0))[:, None, None] * np.eye(3)
-        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-            np.add.at(h, (a, slice(None), b), sign * bend)
-        matrix = h.reshape(force.size, force.size)
+        pull = lorentzian_weight(np.einsum("kja,kja->kj", off, off) / c**2, full)
+        along = between @ x
+        length = np.sqrt(np.einsum("ba,ba->b", along, along) + 1e-12)
+        rows = np.einsum("bj,ba,b->bja", between, along, 1 / length).reshape(len(bones), x.size)
+        matrix = (stiff * rows.T) @ rows
+        matrix.ravel()[:: x.size + 1] += alone + np.repeat(pull.sum(0), 3)
         if step < iterations:
-            x += np.linalg.solve(matrix, force.ravel()).reshape(x.shape)
+            force = prior_weight[:, None] * (predicted - x) + np.einsum("kj,kja->ja", pull, off)
+            x += np.linalg.solve(matrix, force.ravel() + (stiff * (lengths - length)) @ rows).reshape(x.shape)
     variance = np.linalg.inv(matrix).diagonal().reshape(x.shape).mean(1)  # of the result
     return x, pull / (pull.sum(0) + 1e-12), variance
 

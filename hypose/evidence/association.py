@@ -32,7 +32,7 @@ from hypose.geometry import Array
 
 NOT_COMPARABLE_M = 9.0
 """m: distance that stands for pairs that cannot be compared."""
-_LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
+LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
 _NEAREST = 0.3  # m, least distance in front of a camera
 _PARALLEL = 0.05  # least sine of the angle between two rays whose distance is used
 _PRIOR = 0.7  # weight of a prediction, in views
@@ -94,7 +94,7 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     uv, metres = views.seen_at(expected)
     e = uv[:, :, None] - found[:, None, :, :, :2]
     e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]
-    return np.where(found[:, None, ..., 2] > _LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
+    return np.where(found[:, None, ..., 2] > LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
 
 
 def mean_of_known(values: Array, least: int) -> Array:
@@ -124,7 +124,7 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     w = (centre[None, :] - centre[:, None])[:, :, None]
     along = np.abs(n0 * w[..., 0] + n1 * w[..., 1] + n2 * w[..., 2])
     apart = np.where(size > _PARALLEL, along / np.maximum(size, 1e-9), 0.5 * limit)
-    seen = found[..., 2] > _LEAST_CONFIDENCE
+    seen = found[..., 2] > LEAST_CONFIDENCE
     both = seen[:, None] & seen[None]
     out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
     return np.where(which[:, None] == which[None], NOT_COMPARABLE_M, out)
@@ -141,7 +141,7 @@ def meet(views: Views, found: Array, near: float, prior: Array | None = None) ->
     Returns: points (N, K, 3), m, NaN where fewer than two rays meet; rays used (C, N, K).
     """
     count, n, k = found.shape[:3]
-    seen = found[..., 2] > _LEAST_CONFIDENCE
+    seen = found[..., 2] > LEAST_CONFIDENCE
     if count < 2 or n == 0:
         return np.full((n, k, 3), np.nan), np.zeros(seen.shape, dtype=np.bool_)
     d = views.rays(found[..., :2])
@@ -209,7 +209,7 @@ class PersonTrack:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Whether each view sees the person in each frame, (T, C)."""
-        return (self.points[..., 2] > 0).sum(-1) >= _LEAST_POINTS
+        return (self.points[..., 2] > 0).sum(-1) >= LEAST_POINTS
 
     @property
     def agreed(self) -> float:
@@ -326,7 +326,7 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
     return PersonTrack(a.first, points, world, candidates)
 
 
-_LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
+LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -485,7 +485,7 @@ class Association:
         """
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
-        is_person, free = count >= _LEAST_POINTS, count > 0
+        is_person, free = count >= LEAST_POINTS, count > 0
         which = self._taken(found, is_person, free, self._expected())
         which = np.concatenate([which, self._born(found, is_person & free, free)], 1)
         if self._alive:
@@ -546,7 +546,7 @@ class Association:
             return which
         plain, turned = self._both(found, expected)
         each = np.where(self._better_exchanged(plain, turned)[..., self._group], turned, plain)
-        cost = np.where(is_person[:, None], mean_of_known(each, _LEAST_POINTS), NOT_COMPARABLE_M)
+        cost = np.where(is_person[:, None], mean_of_known(each, LEAST_POINTS), NOT_COMPARABLE_M)
         gate = self.settings.gate
         for c in range(len(found)):
             rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * gate))
@@ -618,14 +618,14 @@ class Association:
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
             return np.zeros((len(found), 0), dtype=np.int64)
-        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)
+        apart = between_rays(self._views, view, found[view, number], o.limit, LEAST_POINTS)
         for members in clusters(apart, o.birth):
             which = np.full(len(found), -1)
             which[view[members]] = number[members]
             points = meet(self._views, _chosen(found, which[:, None]), o.near)[0][0]
             length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
             right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-            if len(right) < _LEAST_POINTS or float(np.mean(right)) < o.plausible:
+            if len(right) < LEAST_POINTS or float(np.mean(right)) < o.plausible:
                 continue
             if any(_apart(t.points, points) < o.apart for t in self._alive):
                 continue
@@ -681,7 +681,7 @@ class Association:
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
-            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST_POINTS
+            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= LEAST_POINTS
             t.hits, t.missed = (t.hits + 1, 0) if followed else (t.hits, t.missed + 1)
             both = got & np.isfinite(t.points[:, 0]) & (t.stale == 0)
             step = world[n] - t.points
@@ -690,7 +690,7 @@ class Association:
                 motion[both] = AssociationSettings.motion * step[both]
                 jumped = np.sqrt((motion * motion).sum(1)) > AssociationSettings.jump
                 motion[jumped] = 0.0
-            common = np.median(step[both], axis=0) if both.sum() >= _LEAST_POINTS and not fresh else np.zeros(3)
+            common = np.median(step[both], axis=0) if both.sum() >= LEAST_POINTS and not fresh else np.zeros(3)
             motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
             t.points = np.where(got[:, None], world[n], t.points + common)
             t.motion = motion

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.depth_points import before_room, holes_filled, middle_of_piece, things_before
+from hypose.compute.depth_points import holes_filled, middle_of_piece
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, depth_sd, in_world
 from hypose.evidence.frame import Expected, Silhouettes
@@ -98,7 +98,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
         enough away to know this.
     """
     stack = np.stack(maps)
-    before = np.stack([_calm(before_room(m, room.depth, room.sd, _SDS, _LEAST_M)) for m in maps]) > 0
+    before = np.stack([_before_room(m, room) for m in maps]) > 0
     often = before.sum(0) >= _STILL_SHARE * np.maximum((stack > 0).sum(0), 0.5 * len(maps))
     if not often.any():
         return room, 0.0
@@ -122,6 +122,14 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
     near = cv2.erode(things, np.ones((5, 5), np.uint8))  # values at its edges lie in front of the background
     depth = np.where(np.isfinite(things), things, np.minimum(near, np.where(room.depth > 0, room.depth, np.inf)))
     return DepthBackground(np.where(np.isfinite(depth), depth, 0.0).astype(np.float32), spread), area
+
+
+def _before_room(depth: DepthMap, room: DepthBackground) -> Mask:
+    """Find the pixels (h, w) at which a depth map lies in front of the empty room, or where the room is not known;
+    without single pixels.
+    """
+    near = room.depth - depth > np.maximum(np.float32(_SDS) * room.sd, np.float32(_LEAST_M))
+    return _calm(((near | (room.depth <= 0)) & (depth > 0)).view(np.uint8))
 
 
 def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
@@ -149,7 +157,7 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
             f"{background.depth.shape[1]} x {background.depth.shape[0]} px; record both in the same mode."
         )
-    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    before = _before_room(depth, background)
     x, y, w, h = cv2.boundingRect(before)
     out = np.zeros(depth.shape, np.uint8)
     own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
@@ -163,7 +171,7 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
     background: the empty room.
     Returns: (h, w) 0 or 1.
     """
-    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    before = _before_room(depth, background)
     _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
     keep[0] = False
@@ -349,9 +357,12 @@ def behind_things(
         top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
         left, right = max(int(x0 - _NEARBY_M * metre), 0), min(int(x1 + _NEARBY_M * metre), w)
         part = slice(top, low), slice(left, right)
-        where = (left, top), (camera.K, camera.camera_from_world), away - _BEFORE_M, _ABOVE_FLOOR_M
-        before, count = things_before(room.depth[part], depth.person[c][part], *where, _calm)
-        if count > _HIDES * _AREA_M2 * metre**2:
+        nearer = (room.depth[part] > 0) & (room.depth[part] < away - _BEFORE_M) & (depth.person[c][part] == 0)
+        before = _calm(nearer.view(np.uint8))
+        v, u = np.nonzero(before)
+        at = in_world(camera, back_projected(camera, u + left, v + top, room.depth[part][v, u]))
+        before[v, u] = at[:, 2] >= _ABOVE_FLOOR_M
+        if np.count_nonzero(before) > _HIDES * _AREA_M2 * metre**2:
             if ignored is None:
                 ignored = np.zeros_like(silhouettes.masks)
             ignored[c, top:low, left:right] = before

@@ -18,13 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.association import PersonTrack, Views, choose, joined, meet, people_of
+from hypose.evidence.association import (
+    LEAST_CONFIDENCE,
+    LEAST_POINTS,
+    PersonTrack,
+    Views,
+    choose,
+    joined,
+    meet,
+    people_of,
+)
 from hypose.evidence.keypoint_check import sizes
 from hypose.evidence.keypoints import other_sides, person_size
 from hypose.geometry import Array
 
-_LEAST_CONFIDENCE = 0.1
-_LEAST_POINTS = 4
 _PATIENCE = 1.2  # s without detections after which a view's own track ends
 _PART = 0.1  # least share of the clip in which a person must be present
 _AGREED = 0.3  # least share of the frames with a person in two views in which the rays must agree
@@ -133,11 +140,11 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
     points[absent] = 0.0
     out = np.zeros(len(rig), dtype=np.bool_)
     world = person.world
-    while (points[..., 2] > _LEAST_CONFIDENCE).any((1, 2)).sum() > 2:
+    while (points[..., 2] > LEAST_CONFIDENCE).any((1, 2)).sum() > 2:
         uv, metres = views.seen_at(world)
         with np.errstate(invalid="ignore"):
             far = np.linalg.norm(uv - points[..., :2], axis=-1) * metres
-        known = np.isfinite(far) & (points[..., 2] > _LEAST_CONFIDENCE)
+        known = np.isfinite(far) & (points[..., 2] > LEAST_CONFIDENCE)
         hits = np.where(
             known.any((1, 2)), (known & (far < _NEAR_M)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0
         )
@@ -151,7 +158,7 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
 
 def _how_many(people: Array | None) -> int:
     """Count the people (P, K, 3) of one view and frame who have enough confident points; None: 0."""
-    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
+    return 0 if people is None else int(np.count_nonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_POINTS))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
@@ -278,7 +285,7 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[NDArray[n
     for t, people in enumerate(frames):
         if people is None:
             continue
-        free = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS).tolist()
+        free = np.flatnonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_POINTS).tolist()
         begin = max(0, t - patience)
         seen = [(track, begin + np.flatnonzero(track[begin:t] >= 0)) for track in tracks]
         alive = [(track, int(at[-1])) for track, at in seen if len(at)]
@@ -301,10 +308,10 @@ def _moved(before: Array, now: Array, gap: int) -> float:
     before, now: px and confidence.
     Returns: the distance, 1 at the largest plausible one; 2 where fewer than three points are common.
     """
-    both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
+    both = (before[:, 2] > LEAST_CONFIDENCE) & (now[:, 2] > LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0
-    size = max(person_size(p, _LEAST_CONFIDENCE) for p in (before, now))
+    size = max(person_size(p, LEAST_CONFIDENCE) for p in (before, now))
     apart = float(np.median(np.linalg.norm(before[both, :2] - now[both, :2], axis=1)))
     return apart / max(_JUMP * size * min(1.0 + 0.1 * (gap - 1), 2.0), 1e-6)
 
@@ -332,7 +339,7 @@ def moves_as(one: Array, other: Array) -> float:
     median distance (OpenCV), because detections have outliers.
     Returns: median distance from the epipolar lines, in sizes of the person; NaN where too few points are common.
     """
-    both = (one[..., 2] > _LEAST_CONFIDENCE) & (other[..., 2] > _LEAST_CONFIDENCE)
+    both = (one[..., 2] > LEAST_CONFIDENCE) & (other[..., 2] > LEAST_CONFIDENCE)
     a, b = one[both][:, :2], other[both][:, :2]
     if len(a) < _FEWEST_PAIRS:
         return float("nan")

@@ -34,7 +34,6 @@ class ViewOutline:
     extent: longer side of the mask's box in its own pixels.
     shrunk: factor, a multiple of 1/2, by which the mask was shrunk before; distance and points are in shrunk pixels.
     corner: (x, y) where the part of the image begins.
-    working_height: as requested.
     """
 
     distance: NDArray[np.float32]
@@ -43,7 +42,6 @@ class ViewOutline:
     extent: int
     shrunk: float = 1.0
     corner: tuple[int, int] = (0, 0)
-    working_height: int | None = None
 
 
 @dataclass(frozen=True)
@@ -77,138 +75,68 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
     return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
-def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
-    """Compute the outline of a mask (h, w) without padding, in its own size.
-
-    count: number of outline points.
-    working_height: for tracking: a mask taller than this is shrunk, px; None: it is not shrunk.
-    """
-    if working_height is not None:
-        return outline_of_packed(packed_masks.pack(mask), count, working_height)
-    box = bounding_box(mask) or (0, 0, 0, 0)
-    extent = max(box[1] - box[0], box[3] - box[2])
-    if extent <= SMALLEST:
-        return _no_outline(mask.shape, count, extent, None)
-    size = (mask.shape[1], mask.shape[0])
-    distance = signed_distance(mask[None], np.array([size]))[0]
-    points, found = outline_points(distance, size, count)
-    return ViewOutline(distance, points, found, extent)
-
-
-def outline_of_packed(packed: BitMask, count: int, working_height: int) -> ViewOutline:
-    """Compute the outline of a packed mask for tracking.
-
-    count: number of outline points.
-    working_height: px; a mask taller than this is shrunk by the largest multiple of 1/2 that leaves it at least as
-        tall.
-    Distances are computed around the person only (a sixth of its size, at least 32 px), because rows further away have
-    no weight.
-    """
-    box, shape = packed.box, packed.shape
-    extent = max(box[1] - box[0], box[3] - box[2])
-    halves = _halves(extent, working_height)
-    y0, y1, x0, x1 = _around(box, shape, halves)
-    if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # only in rows or columns outside whole blocks
-        return _no_outline((2, 2), count, extent, working_height)
-    mask = packed_masks.draw(packed, np.zeros((y1 - y0, x1 - x0), np.uint8), (y0, x0))
-    small = _shrink(mask, halves) if halves > 2 else mask
-    size = (small.shape[1], small.shape[0])
-    distance = signed_distance(small[None], np.array([size]), max(size))[0]
-    points, found = outline_points(distance, size, count)
-    corner = (2 * x0 // halves, 2 * y0 // halves)
-    points += np.array(corner, np.float32)
-    return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
-
-
-def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[int, int, int, int]:
-    """Compute the region (y0, y1, x0, x1), px, for the distances around a person's box, in whole blocks of `halves`
-    pixels.
-    """
-    h, w = (side // halves * halves for side in shape)
-    margin = max(16 * halves, max(box[1] - box[0], box[3] - box[2]) // 6)
-    y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
-    return y0, min(box[1] + margin, h), x0, min(box[3] + margin, w)
-
-
-def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
-    """Build the outline of a mask that is too small: all zero, in the shape of the mask part, with `count` points.
-
-    extent: longer side of the mask's box, px.
-    working_height: as requested.
-    """
-    nothing = np.zeros(shape, np.float32), np.zeros((count, 2), np.float32)
-    return ViewOutline(*nothing, 0, extent, working_height=working_height)
-
-
 KNOWN_PX = 0.75
 """px: largest difference of a distance with and without the ignored pixels at which it counts as known."""
 _FEW_POINTS, _NEARBY = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
-def shared_outline(
-    mask: Mask, ignored: Mask, box: ArrayLike, count: int = OUTLINE_POINTS, working_height: int | None = None
+def view_outline(
+    mask: Mask | BitMask,
+    count: int = OUTLINE_POINTS,
+    working_height: int | None = None,
+    ignored: Mask | None = None,
+    expected: ArrayLike | None = None,
 ) -> ViewOutline:
-    """Compute the outline of one person's mask, in which other people may hide parts.
+    """Compute the outline of a mask without padding; one of zeros where the mask is too small, or too little is known.
 
-    mask, ignored: (h, w) the mask, and the pixels without information.
-    box: where the person is expected, (y0, y1, x0, x1) px.
-
-    count: number of outline points. An outline of zeros is returned where too little of the person is known.
-    working_height: a mask taller than this is shrunk before, px; None: it is not shrunk.
-    Returns: the outline; distances that depend on ignored pixels are NOT_KNOWN, and outline points next to them are set
-        to -1e6, because the outline there may be another person's.
+    mask: (h, w), packed or not.
+    count: number of outline points.
+    working_height: for tracking, px: a mask taller than this is shrunk by the largest multiple of 1/2 that leaves it at
+        least as tall, and distances are computed around the person only (a sixth of its size, at least 32 px), because
+        rows further away have no weight. None: distances in the whole picture.
+    ignored: (h, w) pixels without information, in which other people may hide this person; the mask is not packed then.
+        Distances that depend on them are NOT_KNOWN, and outline points next to them are set to -1e6, because the
+        outline there may be another person's.
+    expected: where the person is expected, (y0, y1, x0, x1) px; None: the mask's own box.
     """
-    whose = tuple(int(n) for n in np.asarray(box))
-    extent = max(whose[1] - whose[0], whose[3] - whose[2])
-    nothing = _no_outline((2, 2), count, extent, working_height)
-    halves, left, top = _halves(extent, working_height), 0, 0
-    if working_height is not None:
-        top, bottom, left, right = _around(whose, mask.shape, halves)
-        mask, ignored = mask[top:bottom, left:right], ignored[top:bottom, left:right]
-    if 2 * min(mask.shape) <= SMALLEST * halves or extent <= SMALLEST:
+    if expected is None:
+        expected = mask.box if isinstance(mask, BitMask) else bounding_box(mask) or (0, 0, 0, 0)
+    (h, w), (y0, y1, x0, x1) = mask.shape, np.asarray(expected).tolist()
+    extent, halves, top, bottom, left, right = max(y1 - y0, x1 - x0), 2, 0, h, 0, w
+    if working_height is not None:  # each block of halves x halves pixels becomes 2 x 2
+        halves = max(2, 2 * extent // working_height)
+        margin = max(16 * halves, extent // 6)
+        top, left = (max(first - margin, 0) // halves * halves for first in (y0, x0))
+        bottom, right = min(y1 + margin, h // halves * halves), min(x1 + margin, w // halves * halves)
+    nothing = ViewOutline(np.zeros((2, 2), np.float32), np.zeros((count, 2), np.float32), 0, extent)
+    if extent <= SMALLEST or y0 >= bottom or x0 >= right:
         return nothing
-    least, most = np.greater(mask, ignored).view(np.uint8), mask | ignored
-    if halves > 2:
-        least, most = _shrink(least, halves), _shrink(most, halves)
-    size = (least.shape[1], least.shape[0])
-    reach = None if working_height is None else max(size)
-    low = signed_distance(least[None], np.array([size]), reach)[0]
-    points, found = outline_points(low, size, count)
-    if not found:
-        return nothing
-    open_pixels = most - least
+    if isinstance(mask, BitMask):
+        own = packed_masks.draw(mask, np.zeros((bottom - top, right - left), np.uint8), (top, left))
+    else:
+        own = mask[top:bottom, left:right]
+    hidden = own[:0] if ignored is None else ignored[top:bottom, left:right]
+    least = _shrunk(np.greater(own, hidden).view(np.uint8) if len(hidden) else own, halves)
+    distance, size = signed_distance(least), (least.shape[1], least.shape[0])
+    points, found = outline_points(distance, size, count)
     corner = (2 * left // halves, 2 * top // halves)
-    if not cv2.countNonZero(open_pixels):  # no ignored pixels are near the person
-        points += np.array(corner, np.float32)
-        return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
-    high = signed_distance(most[None], np.array([size]), reach)[0]
-    distance = np.where(low - high > KNOWN_PX, np.float32(NOT_KNOWN), low)  # true in all open pixels
-    nearby = cv2.dilate(open_pixels, _NEARBY)
-    at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
-    own = nearby[at[:, 1], at[:, 0]] == 0
-    if own.sum() < _FEW_POINTS:
-        return nothing
-    points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))
-    return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
+    moved = points + np.array(corner, np.float32)
+    if found and hidden.any():
+        most = _shrunk(own | hidden, halves)
+        distance = np.where(distance - signed_distance(most) > KNOWN_PX, np.float32(NOT_KNOWN), distance)
+        u, v = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int).T
+        known = cv2.dilate(most - least, _NEARBY)[v, u] == 0
+        moved, found = np.where(known[:, None], moved, np.float32(-1e6)), found if known.sum() >= _FEW_POINTS else 0
+    return ViewOutline(distance, moved, found, extent, halves / 2, corner) if found else nothing
 
 
-def _halves(extent: int, working_height: int | None) -> int:
-    """Compute twice the factor by which to shrink: so many pixels become 2.
-
-    extent: longer side of the box, px.
-    working_height: wanted height, px, None: nothing is shrunk (2 is returned).
-    """
-    return 2 if working_height is None else max(2, 2 * extent // working_height)
-
-
-def _shrink(mask: Mask, halves: int) -> Mask:
-    """Shrink a mask: each block of halves x halves pixels becomes 2 x 2; a pixel is set when at least half of its
-    area is.
-    """
+def _shrunk(mask: Mask, halves: int) -> Mask:
+    """Shrink a mask (h, w), each block of halves x halves pixels to 2 x 2; a pixel is set when half of its area is."""
+    if halves == 2:
+        return mask
     h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
     whole = mask[: h * halves // 2, : w * halves // 2] * np.uint8(254)
-    share = cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)
-    return np.asarray(share >= 127).view(np.uint8)
+    return np.asarray(cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA) >= 127).view(np.uint8)
 
 
 def shrunk_projection(projection: Array, factor: float) -> Array:

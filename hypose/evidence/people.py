@@ -469,8 +469,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
     """
     given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
-        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]
-        if any(person.litres < SMALL * k.litres for k in near):
+        if _larger(person, kept) is not None:
             continue
         shape = person.shape(left.rig)
         rest = given & without(left, others).informative
@@ -480,6 +479,12 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
             kept.append(person)
             others.append(Other(shape, _WIDENED))
     return kept
+
+
+def _larger(person: HullPerson, kept: Sequence[HullPerson]) -> int | None:
+    """Find the first of the people of whom a person is a part (PART_OF_LARGER_M, SMALL); None where there is none."""
+    near = (np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M and person.litres < SMALL * k.litres for k in kept)
+    return next((k for k, part in enumerate(near) if part), None)
 
 
 def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
@@ -548,11 +553,16 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
         points = points[((points >= bounds[0]) & (points <= bounds[1])).all(1)]
     if not len(points):
         return Hull(np.zeros((1, 1, 1), dtype=np.bool_), np.zeros(3), _VOXEL_M)
+    return _voxels(points, _VOXEL_M, 1)
+
+
+def _voxels(points: Array, voxel: float, least: int) -> Hull:
+    """Make the hull of the voxels (edge in m) that hold at least `least` of the points (N, 3), m."""
     origin = points.min(0)
-    index = np.rint((points - origin) / _VOXEL_M).astype(int)
-    solid = np.zeros(index.max(0) + 1, dtype=np.bool_)
-    solid[tuple(index.T)] = True
-    return Hull(solid, origin, _VOXEL_M)
+    index = np.rint((points - origin) / voxel).astype(np.int64)
+    count = np.zeros(index.max(0) + 1, np.int32)
+    np.add.at(count, tuple(index.T), 1)
+    return Hull(count >= least, origin, voxel)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
@@ -586,15 +596,11 @@ def people_in_depth(
     at, points = at[rest], points[rest]
     if len(points) < _LEAST_PX:
         return []
-    low = points.min(0)
-    index = np.rint((points - low) / VOXEL).astype(np.int64)
-    filled = np.zeros(index.max(0) + 1, np.int32)
-    np.add.at(filled, tuple(index.T), 1)
-    solid = filled >= _PER_VOXEL
-    if not solid.any():
+    solid = _voxels(points, VOXEL, _PER_VOXEL)
+    if not solid.occupancy.any():
         return []
     found = list[HullPerson]()
-    for person in people_of_hull(Hull(solid, low, VOXEL), floor, most, SURFACE_LITRES):
+    for person in people_of_hull(solid, floor, most, SURFACE_LITRES):
         own = person.hull
         inside = np.rint((points - own.origin) / VOXEL).astype(np.int64)
         last = np.array(own.occupancy.shape) - 1
@@ -612,8 +618,7 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
     """
     kept = list[HullPerson]()
     for person in found:
-        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]
-        larger = next((k for k in near if person.litres < SMALL * kept[k].litres), None)
+        larger = _larger(person, kept)
         if larger is None:
             kept.append(person)
             continue

@@ -21,7 +21,6 @@ from hypose.evidence.outlines import (
     WORKING_HEIGHT,
     Outlines,
     ViewOutline,
-    shared_outline,
     stack_outlines,
     view_outline,
 )
@@ -103,31 +102,16 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
     if tracking and known.stacked is not None:
         return known.stacked
     ready = known.views() if tracking and known.views is not None else None
-    made: list[ViewOutline | None] = []
+    made, ignored, expected = list[ViewOutline | None](), silhouettes.ignored, silhouettes.expected
     for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
         view = None if ready is None or not silhouettes.usable[c] else ready[c]
         if silhouettes.usable[c] and view is None:
-            view = _outline(silhouettes, c, (w, h), count, working_height)
+            hidden = ()
+            if ignored is not None and expected is not None and silhouettes.shared[c]:
+                hidden = ignored[c, :h, :w], expected.boxes[c]
+            view = view_outline(silhouettes.masks[c, :h, :w], count, working_height, *hidden)
         made.append(view)
     return stack_outlines(made, count)
-
-
-def _outline(
-    silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
-) -> ViewOutline:
-    """Compute the outline of one view, of size (w, h), without the ignored pixels.
-
-    silhouettes: silhouettes of the frame.
-    view: its index.
-    count: number of points.
-    working_height: as for `view_outline`.
-    """
-    w, h = size
-    mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
-    if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:
-        return view_outline(mask, count, working_height)
-    box = silhouettes.expected.boxes[view]
-    return shared_outline(mask, ignored[view, :h, :w], box, count, working_height)
 
 
 def pack_once(silhouettes: Silhouettes) -> None:

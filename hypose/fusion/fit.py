@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import fusion
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
-from hypose.geometry import Array
+from hypose.geometry import Array, skew
 
 _PARTS = np.array([0, 0, 1, 2, 2, 1, 2, 2, 0, 3, 4, 4, 3, 4, 4])  # trunk, shoulders, arms, hips, legs
 OWN_SD_M = np.array([0.027, 0.033, 0.027, 0.044, 0.022])[_PARTS]
@@ -113,7 +113,7 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
     away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
-    behind = np.maximum(_cosine(np.cross(up, left), to), 0.0)
+    behind = np.maximum(_cosine(up @ skew(left), to), 0.0)
     seen = np.maximum(1 - GUESSED_P - HIDDEN_P * away**2 - BEHIND_P * behind, LEAST_P)
     seen = np.where(states == TRACKED, seen, _INFERRED * seen)
     off = np.linalg.norm(positions - positions[:, jt.PARENT], axis=-1) - np.where(_BONE >= 0, lengths[_BONE], 0.0)
@@ -129,7 +129,7 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
 def _cosine(a: Array, b: Array) -> Array:
     """Compute the cosine (..., 1) of the angle between vectors (..., 3), 0 where unknown."""
     square = (a * a).sum(-1) * (b * b).sum(-1)
-    return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[..., None]
+    return np.where(square > 0, (a * b).sum(-1) / np.sqrt(np.where(square > 0, square, 1.0)), 0.0)[..., None]
 
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])

@@ -105,7 +105,7 @@ import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 import numpy as np
 from hypose.compute.mask_distance import signed_distance
-print(signed_distance(np.ones((1, 8, 8), np.uint8), np.array([[8, 8]])).shape[0])
+print(signed_distance(np.ones((1, 8), np.uint8)).shape[0])
 from hypose.compute.compiled import kernel
 print(kernel(lambda a: a + 1)(1))
 """

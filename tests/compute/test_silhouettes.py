@@ -96,15 +96,12 @@ def test_signed_distance_and_outline_of_a_disc():
     y, x = np.mgrid[:90, :120]
     radius = np.hypot(x - 60, y - 44)
     mask = (radius < 25).astype(np.uint8)
-    padded = np.zeros((1, 100, 130), np.uint8)
-    padded[0, :90, :120] = mask
-    sdf = signed_distance(padded, [(120, 90)])
+    sdf = signed_distance(mask)
     exact = np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(1 - mask) - 0.5)
     near = np.abs(exact) < 30
-    assert np.abs(sdf[0, :90, :120] - exact)[near].max() < 0.7  # chamfer distance: 2 %
-    assert (np.sign(sdf[0, :90, :120]) == np.where(mask, -1, 1)).all()
-    assert not sdf[0, 90:].any() and not sdf[0, :, 120:].any()
-    points, n = outline_points(sdf[0], (120, 90), 64)
+    assert np.abs(sdf - exact)[near].max() < 0.7  # chamfer distance: 2 %
+    assert (np.sign(sdf) == np.where(mask, -1, 1)).all()
+    points, n = outline_points(sdf, (120, 90), 64)
     assert n >= 64
     r = np.hypot(points[:, 0] - 60, points[:, 1] - 44)
     assert np.abs(r - 24.9).max() < 0.8
@@ -112,19 +109,16 @@ def test_signed_distance_and_outline_of_a_disc():
 
 
 def test_outlines_cut_by_the_image_border_are_left_out():
-    mask = np.zeros((1, 60, 80), np.uint8)
-    mask[0, 20:40, :50] = 1
-    sdf = signed_distance(mask, [(80, 60)])
-    points, n = outline_points(sdf[0], (80, 60), 500)
+    mask = np.zeros((60, 80), np.uint8)
+    mask[20:40, :50] = 1
+    points, n = outline_points(signed_distance(mask), (80, 60), 500)
     assert 0 < n < 500
     assert points[:, 0].min() >= 2.5
     np.testing.assert_array_equal(points[n : 2 * n], points[: len(points[n : 2 * n])])
 
 
 def test_distance_of_empty_and_full_masks_is_finite():
-    masks = np.zeros((2, 40, 50), np.uint8)
-    masks[1] = 1
-    sdf = signed_distance(masks, [(50, 40)] * 2)
-    assert np.isfinite(sdf).all() and (sdf[0] > 50).all() and (sdf[1] < -50).all()
-    points, n = outline_points(sdf[0], (50, 40), 8)
+    empty, full = (signed_distance(np.full((40, 50), value, np.uint8)) for value in (0, 1))
+    assert np.isfinite(empty).all() and (empty > 50).all() and np.isfinite(full).all() and (full < -50).all()
+    points, n = outline_points(empty, (50, 40), 8)
     assert n == 0 and (points < -1e5).all()

@@ -39,7 +39,7 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import keypoint_names, person_size, thick_skeleton
 from hypose.evidence.one_person import OnePerson, one_person, without_held
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
     BitMask,
@@ -304,7 +304,7 @@ class PendingMasks:
 
 def _outline(done: Future[PackedMask]) -> ViewOutline | None:
     runs = done.result().runs
-    return None if runs is None else outline_of_packed(runs, OUTLINE_POINTS, WORKING_HEIGHT)
+    return None if runs is None else view_outline(runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 def _colours(masks: Sequence[PackedMask], shape: tuple[int, ...]) -> Colours | None:

@@ -19,7 +19,7 @@ from hypose.evidence.background import BackgroundModel, from_frames, gain_betwee
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_packed, view_outline
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.pose_network import Crop, PoseDetector, owners_of_pixels
 from hypose.evidence.silhouettes import (
     Segmenter,
@@ -78,7 +78,7 @@ class ViewBackground:
         """
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
-        return packed_masks.draw(runs), outline_of_packed(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
+        return packed_masks.draw(runs), view_outline(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
