@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import cv2
@@ -101,7 +102,7 @@ def test_what_cannot_be_started_is_said(served_live, more, why):
 class Engine:
     """Shows two instants with nobody in them. failing: then it fails; else it runs, and takes a while to stop."""
 
-    def __init__(self, rig, views, options, listeners, stop, failing):
+    def __init__(self, failing, rig, views, capture, person, *, people, pictures, listeners, stop):
         self.listeners, self.failed, self._failing = listeners, None, failing
         self.ended, self._shapes = threading.Event(), [c.size for c in working_rig(rig)]
 
@@ -126,7 +127,7 @@ class Engine:
 @pytest.mark.parametrize("failing", [True, False])
 def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, failing):
     """The cameras' process, or a page that says stop and is closed at once."""
-    monkeypatch.setattr(pose_outputs, "LiveEngine", lambda *given: Engine(*given, failing))
+    monkeypatch.setattr(pose_outputs, "LiveEngine", partial(Engine, failing))
     host = served_live.studio.cameras
     with served_live.socket("/ws/cameras") as ws:
         ws.send(json.dumps({"t": "start", "recording": walk_of(served_live), "record": True}))
