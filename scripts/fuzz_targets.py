@@ -187,7 +187,8 @@ def _live() -> Callable[[bytes], Any]:
 
     loop = asyncio.new_event_loop()
     now = [0.0]
-    server = LiveServer(udp=None, ws=None, clock=lambda: now[0])
+    server = LiveServer(udp=None, ws=None)
+    server.clock = lambda: now[0]
 
     async def take(data: bytes) -> str | None:
         now[0] += 0.01

@@ -1,7 +1,7 @@
-"""Options of the commands whose work is imported late, or whose options others use; each option is declared once.
+"""What the commands with many options take, each option declared once.
 
 Command line, tables of `hypose batch` and the studio's jobs are made of these fields. Nothing here computes, so that
-`hypose track --help` answers at once. Other commands declare their options themselves.
+`hypose track --help` answers at once.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from hypose.options import (
     OscAddress,
     RecordingPath,
     Resume,
+    Seconds,
     Seed,
     Threads,
     Yes,
@@ -365,3 +366,80 @@ class CompareCommand(CompareOptions):
     out: Annotated[
         Path | None, Option("Folder for compare.csv and compare.html. [default: the first results folder]")
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveCommand:
+    """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
+
+    rig: Annotated[
+        Path, Option("Calibration file, or a recording, whose videos are played without --source.", argument=True)
+    ]
+    source: Annotated[
+        tuple[str, ...],
+        Option(
+            "Number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. Once for each "
+            "camera.",
+            value="CAMERA=WHERE",
+        ),
+    ] = ()
+    rate: Annotated[
+        float | None, Option("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
+    ] = None
+    countdown: Annotated[
+        float, Option("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
+    ] = 5.0
+    detector: Annotated[
+        bool | None,
+        Option(
+            "Find people by hypose's detector: no person has to leave the view. [default: where a recording is played "
+            "that shows no empty room]"
+        ),
+    ] = None
+    people: Annotated[int, Option("Follow so many people at most.", 1, 8)] = 1
+    height: Annotated[float | None, Option("How tall the person is, when known.", *HEIGHT, unit="metres")] = None
+    subject: Annotated[
+        Path | None, Option("The person's body, as hypose subject writes it; else it is fitted on the way.")
+    ] = None
+    seconds: Annotated[float, Option("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0
+    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=OUTPUT)] = 9872
+    udp: Annotated[str | None, Option("A JSON line per pose.", value="HOST:PORT", group=OUTPUT)] = None
+    osc: OscAddress = None
+    vmc: Annotated[str | None, Option("A program that moves an avatar (VMC).", value="HOST:PORT", group=OUTPUT)] = None
+    record: Annotated[
+        Path | None, Option("New folder for a recording that hypose track solves again.", group=OUTPUT)
+    ] = None
+    seed: Seed = 0
+    threads: Threads = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SynthCommand:
+    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
+
+    folder: Annotated[Path, Option("Folder to write the recording to.", argument=True, value="OUT")]
+    motion: Annotated[
+        str, Option("walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.", value="NAME")
+    ] = "walk"
+    subject: Annotated[str, Option("Name or number of a subject. [default: chosen by the seed]", value="WHO")] = ""
+    rig: Annotated[str, Option("humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.", value="NAME")] = "humaneva-4"
+    sensors: Annotated[
+        str,
+        Option(
+            "Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round).", value="NAME"
+        ),
+    ] = ""
+    seconds: Seconds = 4.0
+    frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0
+    corruption: Annotated[
+        tuple[str, ...],
+        Option("What goes wrong: table, desync, dead-camera, ... (may be repeated).", value="NAME"),
+    ] = ()
+    clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02
+    distorted: Annotated[bool, Option("Lenses without distortion.")] = True
+    keypoints: Annotated[bool, Option("Write 2D key points (OpenPose JSON) as well.")] = False
+    raw: Annotated[
+        bool, Option("As it is filmed: videos of a board, the empty room and the person, to practise on.")
+    ] = False
+    seed: Seed = 0
+    threads: Threads = None

@@ -209,7 +209,7 @@ class PersonTrack:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Whether each view sees the person in each frame, (T, C)."""
-        return (self.points[..., 2] > 0).sum(-1) >= LEAST_POINTS
+        return (self.points[..., 2] > 0).sum(-1) >= LEAST_SEEN
 
     @property
     def agreed(self) -> float:
@@ -326,7 +326,7 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
     return PersonTrack(a.first, points, world, candidates)
 
 
-LEAST_POINTS = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
+LEAST_SEEN = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -485,7 +485,7 @@ class Association:
         """
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
-        is_person, free = count >= LEAST_POINTS, count > 0
+        is_person, free = count >= LEAST_SEEN, count > 0
         which = self._taken(found, is_person, free, self._expected())
         which = np.concatenate([which, self._born(found, is_person & free, free)], 1)
         if self._alive:
@@ -546,7 +546,7 @@ class Association:
             return which
         plain, turned = self._both(found, expected)
         each = np.where(self._better_exchanged(plain, turned)[..., self._group], turned, plain)
-        cost = np.where(is_person[:, None], mean_of_known(each, LEAST_POINTS), NOT_COMPARABLE_M)
+        cost = np.where(is_person[:, None], mean_of_known(each, LEAST_SEEN), NOT_COMPARABLE_M)
         gate = self.settings.gate
         for c in range(len(found)):
             rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * gate))
@@ -618,14 +618,14 @@ class Association:
         view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
             return np.zeros((len(found), 0), dtype=np.int64)
-        apart = between_rays(self._views, view, found[view, number], o.limit, LEAST_POINTS)
+        apart = between_rays(self._views, view, found[view, number], o.limit, LEAST_SEEN)
         for members in clusters(apart, o.birth):
             which = np.full(len(found), -1)
             which[view[members]] = number[members]
             points = meet(self._views, _chosen(found, which[:, None]), o.near)[0][0]
             length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
             right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-            if len(right) < LEAST_POINTS or float(np.mean(right)) < o.plausible:
+            if len(right) < LEAST_SEEN or float(np.mean(right)) < o.plausible:
                 continue
             if any(_apart(t.points, points) < o.apart for t in self._alive):
                 continue
@@ -681,7 +681,7 @@ class Association:
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
-            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= LEAST_POINTS
+            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= LEAST_SEEN
             t.hits, t.missed = (t.hits + 1, 0) if followed else (t.hits, t.missed + 1)
             both = got & np.isfinite(t.points[:, 0]) & (t.stale == 0)
             step = world[n] - t.points
@@ -690,7 +690,7 @@ class Association:
                 motion[both] = AssociationSettings.motion * step[both]
                 jumped = np.sqrt((motion * motion).sum(1)) > AssociationSettings.jump
                 motion[jumped] = 0.0
-            common = np.median(step[both], axis=0) if both.sum() >= LEAST_POINTS and not fresh else np.zeros(3)
+            common = np.median(step[both], axis=0) if both.sum() >= LEAST_SEEN and not fresh else np.zeros(3)
             motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
             t.points = np.where(got[:, None], world[n], t.points + common)
             t.motion = motion

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import (
     LEAST_CONFIDENCE,
-    LEAST_POINTS,
+    LEAST_SEEN,
     PersonTrack,
     Views,
     choose,
@@ -158,7 +158,7 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
 
 def _how_many(people: Array | None) -> int:
     """Count the people (P, K, 3) of one view and frame who have enough confident points; None: 0."""
-    return 0 if people is None else int(np.count_nonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_POINTS))
+    return 0 if people is None else int(np.count_nonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_SEEN))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
@@ -285,7 +285,7 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[NDArray[n
     for t, people in enumerate(frames):
         if people is None:
             continue
-        free = np.flatnonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_POINTS).tolist()
+        free = np.flatnonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_SEEN).tolist()
         begin = max(0, t - patience)
         seen = [(track, begin + np.flatnonzero(track[begin:t] >= 0)) for track in tracks]
         alive = [(track, int(at[-1])) for track, at in seen if len(at)]

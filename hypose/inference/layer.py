@@ -70,16 +70,16 @@ def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
 
 
 def go_on(step: FloatArray, blind: int, /) -> FloatArray:
-    """Predict the last step (D,) again: GAIN times it, less after every frame without evidence.
+    """Predict the last step (D,) again: VELOCITY_GAIN times it, less after every frame without evidence.
 
     blind: number of frames without evidence.
     Use it for poses that are solved: the step between two means of a set is mostly noise, which the prediction would
     feed back.
     """
-    return GAIN ** (1 + blind) * step
+    return VELOCITY_GAIN ** (1 + blind) * step
 
 
-GAIN = 0.8
+VELOCITY_GAIN = 0.8
 """Share of the last step that `go_on` predicts again."""
 
 

@@ -38,7 +38,7 @@ from hypose.pipeline.track_loop import (
     StageProgress,
     TrackedPerson,
     TrackingSession,
-    shape_of,
+    body_shape,
     step_together,
     tracker_of,
 )
@@ -83,7 +83,7 @@ class RoughTrack:
     def other(self, number: int, rig: CameraRig) -> Other | None:
         """Return the shape of this person in a frame as a person who hides others; None where the pose is not known."""
         pose = self.poses.get(number)
-        return None if pose is None else Other(shape_of(self.body, pose, rig), SETTINGS.path_others_widened)
+        return None if pose is None else Other(body_shape(self.body, pose, rig), SETTINGS.path_others_widened)
 
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
         """List possible starts of the person: the start in the first of the frames `numbers`, and the rivals.
@@ -231,7 +231,9 @@ def fitted_again(
     def own_at(who: int, t: int) -> Frame:
         frame = frame_at(t)
         rig = frame.the(Silhouettes).rig
-        shapes = {k: shape_of(p.subject.body, found[k][t][0].pose, rig) for k, p in enumerate(people) if t in found[k]}
+        shapes = {
+            k: body_shape(p.subject.body, found[k][t][0].pose, rig) for k, p in enumerate(people) if t in found[k]
+        }
         return own_frame(frame, shapes[who], [Other(s, SOLVED_WIDENING) for k, s in shapes.items() if k != who])
 
     return {
@@ -576,7 +578,7 @@ def own_frames(
             if not who.present[index]:
                 return frame.unseen()
             shown = [p for p in people if p is who or p.present[index] and not p.estimates[index].lost]
-            shapes = {p.name: shape_of(p.subject.body, p.estimates[index].pose, s.rig) for p in shown}
+            shapes = {p.name: body_shape(p.subject.body, p.estimates[index].pose, s.rig) for p in shown}
             return own_frame(frame, shapes.pop(who.name), [Other(o, SOLVED_WIDENING) for o in shapes.values()])
         return frame
 

@@ -71,7 +71,7 @@ class Member:
         return self.present and not self.state.lost and self.state.blind <= BLIND
 
 
-def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
+def body_shape(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
     """Build a body at a pose (D,) as pinhole cameras see it."""
     return BodyShape(body.skin(pose), body.coarse.faces, rig)
 
@@ -98,7 +98,7 @@ def step_together(
     estimates, seen = dict[int, FrameEstimate](), [frame] * count
     expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
     rigs = [s.rig for s in frame.of(Silhouettes)]
-    shapes = [shape_of(m.tracker.body, q, r) for r in rigs for m, q in zip(members, expected, strict=True)]
+    shapes = [body_shape(m.tracker.body, q, r) for r in rigs for m, q in zip(members, expected, strict=True)]
     done = np.zeros(count, dtype=np.bool_)
     for i in ((frame.index + k) % max(count, 1) for k in range(count)):
         m = after[i]
@@ -116,7 +116,7 @@ def step_together(
         state, estimates[i] = m.tracker.step(m.state, own)
         after[i], seen[i], done[i] = replace(m, state=state), own, True
         for rig in rigs if not done.all() else ():
-            shapes[i] = shape_of(m.tracker.body, estimates[i].pose, rig)
+            shapes[i] = body_shape(m.tracker.body, estimates[i].pose, rig)
     return after, [estimates[i] for i in range(count)], seen
 
 

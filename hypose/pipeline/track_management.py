@@ -21,7 +21,7 @@ from hypose.evidence.people import FEWEST_VIEWS, HullPerson, Other, own_frame, p
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
-from hypose.pipeline.track_loop import TrackedPerson, shape_of
+from hypose.pipeline.track_loop import TrackedPerson, body_shape
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.part_colours import NO_CLOTHES, appearance_in, likeness
 from hypose.tracking.start_search import starts_in_frame
@@ -342,7 +342,7 @@ def swap_identities(
 def explained_by(people: Sequence[TrackedPerson], silhouettes: Silhouettes) -> list[Other]:
     """Return what each person whose place is known covers in the views."""
     known = [(p.member.tracker.body, p.estimates[-1].pose) for p in people if p.member.sure]
-    return [Other(shape_of(body, pose, silhouettes.rig)) for body, pose in known]
+    return [Other(body_shape(body, pose, silhouettes.rig)) for body, pose in known]
 
 
 def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
@@ -420,8 +420,8 @@ def _explains(p: TrackedPerson, others: Sequence[TrackedPerson], frame: Frame) -
     """
     body, start, s = p.subject.body, p.subject.start, frame.silhouettes
     assert s is not None
-    hide = [Other(shape_of(o.subject.body, o.subject.start, s.rig)) for o in others]
-    prepared = prepare(own_frame(frame, shape_of(body, start, s.rig), hide), body, start)
+    hide = [Other(body_shape(o.subject.body, o.subject.start, s.rig)) for o in others]
+    prepared = prepare(own_frame(frame, body_shape(body, start, s.rig), hide), body, start)
     return mean_overlap(body, start, prepared)
 
 

@@ -6,6 +6,7 @@ from the curvature of the cost, and recovery after a loss; see `_solving`.
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -216,9 +217,8 @@ class Preset:
 
 def _monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
     """Build `hypose.tracking.monocular.recipe.monocular`, whose modules are imported only where it is chosen."""
-    from hypose.tracking.monocular.recipe import monocular
-
-    return monocular(body, particles, frame_rate, floor=floor)
+    recipe = importlib.import_module("hypose.tracking.monocular.recipe")
+    return recipe.monocular(body, particles, frame_rate, floor=floor)
 
 
 RECIPES: dict[str, Preset] = {

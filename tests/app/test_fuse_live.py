@@ -76,7 +76,8 @@ def live(play, **options):
 
     async def run():
 
-        server = LiveServer(**{**OPTIONS, **options}, note=notes.append, clock=Clock())
+        server = LiveServer(**{**OPTIONS, **options}, note=notes.append)
+        server.clock = Clock()
         await server.start()
         out = []
         try:

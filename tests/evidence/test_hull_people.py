@@ -7,7 +7,7 @@ import trimesh
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.people import BodyShape, people_in_hull
-from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_loop import body_shape
 from hypose.pipeline.track_management import follow_places
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.start_search import scaled_to_height
@@ -16,7 +16,7 @@ from tests.evidence.scenes import masks_of, on_floor
 
 def standing(places, rig, body=None):
     body = body or human()
-    shapes = [shape_of(body, on_floor(body, place), rig) for place in places]
+    shapes = [body_shape(body, on_floor(body, place), rig) for place in places]
     return masks_of(shapes, rig), shapes
 
 

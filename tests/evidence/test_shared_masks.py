@@ -14,7 +14,7 @@ from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.people import Other, own_frame, without
 from hypose.evidence.prefetch import outlines, prepared_masks
-from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_loop import body_shape
 from hypose.synthetic.scenes import make_scene
 from tests import reference
 from tests.evidence.scenes import masks_of, on_floor, ring, solid_masks
@@ -30,7 +30,7 @@ def pair(body):
     """Two bodies in one rig: poses, shapes, and the union of their masks."""
     rig = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.5)
     poses = [on_floor(body, (x, 0)) for x in (-0.3, 0.3)]
-    shapes = [shape_of(body, q, rig) for q in poses]
+    shapes = [body_shape(body, q, rig) for q in poses]
     return poses, shapes, masks_of(shapes, rig)
 
 

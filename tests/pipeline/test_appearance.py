@@ -12,7 +12,7 @@ from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline import track_management
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
-from hypose.pipeline.track_loop import Member, TrackedPerson, shape_of
+from hypose.pipeline.track_loop import Member, TrackedPerson, body_shape
 from hypose.pipeline.track_management import back_again, identity_switches, swap_identities, update_appearance
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.part_colours import FEW, NO_CLOTHES, appearance_in, likeness
@@ -37,7 +37,7 @@ def frame_of(people):
     w, h = RIG.sizes.max(0)
     masks, codes = np.zeros((len(RIG), h, w), np.uint8), np.zeros((len(RIG), h, w), np.uint16)
     for x, colour in people:
-        shape = shape_of(BODY, standing(x), RIG)
+        shape = body_shape(BODY, standing(x), RIG)
         for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
             drawn = shape.drawn(c) > 0
             masks[c, y0:y1, x0:x1] |= drawn

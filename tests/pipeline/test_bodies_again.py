@@ -10,7 +10,7 @@ from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.people import AGAIN, fitted_again
 from hypose.pipeline.subject import TrackedSubject
-from hypose.pipeline.track_loop import TrackedPerson, shape_of, tracker_of
+from hypose.pipeline.track_loop import TrackedPerson, body_shape, tracker_of
 from hypose.pipeline.track_management import KnownPerson, without_doubles
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
@@ -38,7 +38,7 @@ def passing():
     """Two people of the template beside each other, as masks of both, and each with arms that were fitted too long."""
     rig, true = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.6), human()
     poses = [swinging(true, (-0.45, -0.1), 0.0), swinging(true, (0.45, 0.1), 2.0)]
-    shapes = [[shape_of(true, way[t], rig) for way in poses] for t in range(FRAMES)]
+    shapes = [[body_shape(true, way[t], rig) for way in poses] for t in range(FRAMES)]
     frames = [Frame(t / RATE, t, masks_of(shown, rig)) for t, shown in enumerate(shapes)]
     x = np.zeros(len(SHAPE_FACTORS))
     x[[entity("upper arm length"), entity("forearm length")]] = 0.15

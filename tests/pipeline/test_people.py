@@ -13,7 +13,7 @@ from hypose.pipeline import people
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.sources import FrameList
 from hypose.pipeline.track import track_people
-from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_loop import body_shape
 from hypose.pipeline.track_management import KeypointPeople, KnownPerson, names_at_places, per_frame, said_of_places
 from hypose.pipeline.track_options import TrackOptions
 from hypose.synthetic.scenes import make_scene
@@ -41,7 +41,7 @@ def two_people(rig, frames, away=()):
             pose[:2] += (x, y)
             here.append(pose)
         truth.append(np.stack(here))
-        shown = [shape_of(body, pose, rig) for pose in here[: 1 if t in away else 2]]
+        shown = [body_shape(body, pose, rig) for pose in here[: 1 if t in away else 2]]
         out.append(Frame(t / RATE, t, masks_of(shown, rig)))
     return out, np.stack(truth, 1)
 

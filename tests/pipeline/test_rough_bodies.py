@@ -7,7 +7,7 @@ from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.people import frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
-from hypose.pipeline.track_loop import shape_of
+from hypose.pipeline.track_loop import body_shape
 from hypose.pipeline.track_management import follow_places
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.start_search import known_pose
@@ -26,7 +26,7 @@ def beside():
     for t in range(FRAMES):
         poses = np.stack([base, base])
         poses[:, :2] += ((-0.4, 0.03 * t), (0.4, 0.03 * t))
-        frames.append(Frame(t / RATE, t, masks_of([shape_of(body, pose, rig) for pose in poses], rig)))
+        frames.append(Frame(t / RATE, t, masks_of([body_shape(body, pose, rig) for pose in poses], rig)))
         truth.append(poses)
     paths = follow_places(lambda t: frames[t], range(FRAMES), RATE)
     order = np.argsort([p.axis(0)[0] for p in paths])

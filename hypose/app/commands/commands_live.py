@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, counted, ended_by_signals, print_note, print_notes, say
+from hypose.app.options import LiveCommand
 from hypose.errors import InputError
-from hypose.options import HEIGHT, OUTPUT, ListenHost, Option, OscAddress, Seed, Threads, named_values
+from hypose.options import ListenHost, Option, Threads, named_values
 
 if TYPE_CHECKING:
     from hypose.pipeline.live.engine import LiveResult, LiveStatus
@@ -21,48 +22,8 @@ if TYPE_CHECKING:
 _REPORT_S = 10.0
 
 
-def live(
-    rig: Annotated[
-        Path, Option("Calibration file, or a recording, whose videos are played without --source.", argument=True)
-    ],
-    source: Annotated[
-        tuple[str, ...],
-        Option(
-            "Number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. Once for each "
-            "camera.",
-            value="CAMERA=WHERE",
-        ),
-    ] = (),
-    rate: Annotated[
-        float | None, Option("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
-    ] = None,
-    countdown: Annotated[
-        float, Option("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
-    ] = 5.0,
-    detector: Annotated[
-        bool | None,
-        Option(
-            "Find people by hypose's detector: no person has to leave the view. [default: where a recording is played "
-            "that shows no empty room]"
-        ),
-    ] = None,
-    people: Annotated[int, Option("Follow so many people at most.", 1, 8)] = 1,
-    height: Annotated[float | None, Option("How tall the person is, when known.", *HEIGHT, unit="metres")] = None,
-    subject: Annotated[
-        Path | None, Option("The person's body, as hypose subject writes it; else it is fitted on the way.")
-    ] = None,
-    seconds: Annotated[float, Option("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
-    ws: Annotated[int, Option("WebSocket port on this computer: /out (JSON).", 0, 65535, group=OUTPUT)] = 9872,
-    udp: Annotated[str | None, Option("A JSON line per pose.", value="HOST:PORT", group=OUTPUT)] = None,
-    osc: OscAddress = None,
-    vmc: Annotated[str | None, Option("A program that moves an avatar (VMC).", value="HOST:PORT", group=OUTPUT)] = None,
-    record: Annotated[
-        Path | None, Option("New folder for a recording that hypose track solves again.", group=OUTPUT)
-    ] = None,
-    seed: Seed = 0,
-    threads: Threads = None,
-) -> None:
-    """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
+def live(c: LiveCommand) -> None:
+    """Track people live until Ctrl-C, the end of the videos or the given time (`hypose live`)."""
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
@@ -75,21 +36,21 @@ def live(
     if ended.is_set():
         raise Exit(130)
 
-    cameras = live_rig(rig, named_values("--source", source, "CAMERA=WHERE, for example --source cam1=0"), rate)
+    cameras = live_rig(c.rig, named_values("--source", c.source, "CAMERA=WHERE, for example --source cam1=0"), c.rate)
     print_notes(cameras.notes)
     person = LivePersonOptions(
-        TrackOptions(seed=seed), height or cameras.height, None if subject is None else load_subject(subject)
+        TrackOptions(seed=c.seed), c.height or cameras.height, None if c.subject is None else load_subject(c.subject)
     )
-    network = people if _finds_people(detector, cameras.no_background) else 0
+    network = c.people if _finds_people(c.detector, cameras.no_background) else 0
     if network:
         cameras = replace(cameras, views=tuple(replace(v, background=None) for v in cameras.views))
-    capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
+    capture = CaptureOptions(cameras.rate, c.countdown, cameras.silhouettes, network=network)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C ends it
         compile_before(progress)
-    targets = {"udp": udp, "osc": osc, "vmc": vmc}
-    about = {"listeners": [_StatusReporter()], "record": record, "stop": ended, "ws": ws, **targets}
+    targets = {"udp": c.udp, "osc": c.osc, "vmc": c.vmc}
+    about = {"listeners": [_StatusReporter()], "record": c.record, "stop": ended, "ws": c.ws, **targets}
     with ended_by_signals(ended):
-        run = TrackingRun(cameras, capture, person, people, **about)
+        run = TrackingRun(cameras, capture, person, c.people, **about)
         engine, recorder, lost = run.engine, run.recorder, False
         try:
             if run.outputs.listeners is not None:
@@ -98,7 +59,7 @@ def live(
                 if target is not None:
                     say(f"Poses out:  {name} {target}")
             say("Stop with Ctrl-C.")
-            until = time.monotonic() + seconds if seconds else math.inf
+            until = time.monotonic() + c.seconds if c.seconds else math.inf
             while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
                 ended.wait(0.1)
                 if recorder is not None and recorder.failed and not lost:
@@ -106,7 +67,7 @@ def live(
                     print_note(recorder.failed)
             status, interrupted = engine.status(), ended.is_set()
         finally:
-            said = run.close(str(record))  # a second stop request does not lose the recording
+            said = run.close(str(c.record))  # a second stop request does not lose the recording
     if said:
         say(said)
     if engine.failed is not None and not interrupted:  # an interrupt may stop the other processes first

@@ -17,7 +17,7 @@ from typing import Annotated
 from click.exceptions import Exit
 
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
-from hypose.app.options import TrackCommand
+from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
 from hypose.io.files import claimed, natural_key, toml_lines, write_text
 from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
@@ -111,66 +111,39 @@ def silhouettes(
     say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
 
 
-def synth(
-    folder: Annotated[Path, Option("Folder to write the recording to.", argument=True, value="OUT")],
-    motion: Annotated[
-        str, Option("walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.", value="NAME")
-    ] = "walk",
-    subject: Annotated[str, Option("Name or number of a subject. [default: chosen by the seed]", value="WHO")] = "",
-    rig: Annotated[str, Option("humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.", value="NAME")] = "humaneva-4",
-    sensors: Annotated[
-        str,
-        Option(
-            "Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round).", value="NAME"
-        ),
-    ] = "",
-    seconds: Seconds = 4.0,
-    frame_rate: Annotated[float, Option("Frames per second.", 1, 1000)] = 25.0,
-    corruption: Annotated[
-        tuple[str, ...],
-        Option("What goes wrong: table, desync, dead-camera, ... (may be repeated).", value="NAME"),
-    ] = (),
-    clothing: Annotated[float, Option("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
-    distorted: Annotated[bool, Option("Lenses without distortion.")] = True,
-    keypoints: Annotated[bool, Option("Write 2D key points (OpenPose JSON) as well.")] = False,
-    raw: Annotated[
-        bool, Option("As it is filmed: videos of a board, the empty room and the person, to practise on.")
-    ] = False,
-    seed: Seed = 0,
-    threads: Threads = None,
-) -> None:
-    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
+def synth(c: SynthCommand) -> None:
+    """Write a synthetic recording (`hypose synth`)."""
     from hypose.synthetic import write_recording
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.subjects import load_subjects
 
-    if raw and keypoints:
+    if c.raw and c.keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
-    write_recording.check_folder(folder)
-    if sensors and (raw or keypoints or corruption):
+    write_recording.check_folder(c.folder)
+    if c.sensors and (c.raw or c.keypoints or c.corruption):
         raise InputError(
             "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
         )
-    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
+    about = {"seconds": c.seconds, "frame_rate": c.frame_rate, "seed": c.seed, "clothing_m": c.clothing}
     names = list(load_subjects())
-    who = names[int(subject)] if subject.isdigit() and int(subject) < len(names) else subject
-    if sensors:
-        scene = write_recording.walking_scene(motion, who, sensors, **about)
+    who = names[int(c.subject)] if c.subject.isdigit() and int(c.subject) < len(names) else c.subject
+    if c.sensors:
+        scene = write_recording.walking_scene(c.motion, who, c.sensors, **about)
     else:
-        scene = make_scene(motion, who, rig, corruption=corruption, distorted=distorted, **about)
-    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
-    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
+        scene = make_scene(c.motion, who, c.rig, corruption=c.corruption, distorted=c.distorted, **about)
+    unfinished = f"Stopped; {c.folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(c.folder, "OUT"), Stages() as progress:
         shown = partial(progress, "render")
         if isinstance(scene, DepthScene):
-            path = write_recording.write_depth_scene(scene, folder, progress=shown)
-        elif raw:
-            path = write_recording.write_session(scene, folder, progress=shown)
+            path = write_recording.write_depth_scene(scene, c.folder, progress=shown)
+        elif c.raw:
+            path = write_recording.write_session(scene, c.folder, progress=shown)
         else:
-            path = write_recording.write_scene(scene, folder, keypoints=keypoints, progress=shown)
-    kind = "depth cameras (simulated)" if sensors else "cameras"
+            path = write_recording.write_scene(scene, c.folder, keypoints=c.keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if c.sensors else "cameras"
     say(f"{path}: {scene.name}, {counted(len(scene), 'frame')}, {len(scene.rig)} {kind}")
-    if raw:
+    if c.raw:
         board = write_recording.BOARD
         say(f"The board has {board.columns} x {board.rows} inner corners and squares of {1000 * board.square:g} mm.")
 

@@ -50,7 +50,6 @@ class LiveServer:
     record: new folder for a recording; None: nothing is recorded.
     settings: settings of the output instants.
     note: receives sentences on problems.
-    clock: monotonic time of this computer, s; None: that of the event loop.
     Raises: InputError where the token has an invalid form.
     """
 
@@ -65,7 +64,6 @@ class LiveServer:
         record: Path | None = None,
         settings: AlignSettings | None = None,
         note: _Say = lambda text: None,
-        clock: Callable[[], float] | None = None,
     ) -> None:
         if token is not None and not _TOKEN.fullmatch(token):
             raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
@@ -76,7 +74,8 @@ class LiveServer:
         self.latencies: deque[float] = deque(maxlen=3000)
         self.people = 0
         self.udp_port = self.ws_port = 0
-        self._note, self.clock = note, clock
+        self._note = note
+        self.clock: Callable[[], float] | None = None  # monotonic, s; None: that of the event loop
         self._complained, self._silent = -math.inf, 0
         self._writer = FolderWriter(record) if record is not None else None
         self.unrecorded = ""  # why a requested recording is not complete

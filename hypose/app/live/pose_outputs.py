@@ -9,6 +9,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,7 @@ def status_json(status: LiveStatus) -> str:
 class TrackingRun:
     """Live tracking with the cameras of a rig, its outputs and its recording, from the start until `close`.
 
-    capture, person, people, pictures: options of the engine.
+    capture, person, people: options of the engine.
     listeners: further receivers of the results.
     record: new folder for a recording; None: nothing is recorded.
     stop: event from outside that ends the tracking, also while it starts.
@@ -184,7 +185,6 @@ class TrackingRun:
         person: LivePersonOptions,
         people: int,
         *,
-        pictures: bool = False,
         listeners: Sequence[Any] = (),
         record: Path | None = None,
         stop: threading.Event | None = None,
@@ -200,8 +200,9 @@ class TrackingRun:
                 self.recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
                 parts.callback(self.recorder.close)
                 listeners.append(self.recorder)
-            about = {"pictures": pictures or record is not None, "listeners": listeners, "stop": stop}
-            self.engine = LiveEngine(cameras.rig, cameras.views, capture, person, people=people, **about)
+            capture = replace(capture, pictures=capture.pictures or record is not None)
+            about = {"people": people, "listeners": listeners, "stop": stop}
+            self.engine = LiveEngine(cameras.rig, cameras.views, capture, person, **about)
             parts.callback(self.engine.stop)
             self.engine.start()
             parts.pop_all()

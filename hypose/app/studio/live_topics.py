@@ -221,9 +221,9 @@ class CameraTopic(LiveTopic):
         record = recording_folder(self._catalog, _FOLDER, "cameras") if recorded else None
         pictures = _Pictures(self, cameras)
         parts.callback(pictures.close)
-        capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
+        capture = CaptureOptions(cameras.rate, countdown, cameras.silhouettes, pictures=True)
         person, outputs = LivePersonOptions(height=cameras.height), {"ws": 0, "osc": osc, "vmc": vmc}
-        about = {"pictures": True, "listeners": [pictures], "record": record, **outputs}
+        about = {"listeners": [pictures], "record": record, **outputs}
         run = self._run = await run_in_threadpool(partial(TrackingRun, cameras, capture, person, people, **about))
         parts.push_async_callback(self._end, run, _reported(record))
         self._watching = asyncio.ensure_future(self._watch(run))

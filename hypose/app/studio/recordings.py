@@ -287,10 +287,11 @@ class Recordings:
         small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
         if shown == "none" and not pictured:
             raise NotFound(f"{camera} has masks only, no pictures.")
-        mask = None if shown == "none" else opened.mask(view, frame, options)
         grey = np.full((*small.size[::-1], 3), 40, np.uint8)
         image = opened.undistorted(view, frame, small) if pictured else grey
-        return jpeg(image if mask is None else _draw_mask(image, mask, shown), w, _QUALITY)
+        if shown != "none":
+            image = _draw_mask(image, opened.mask(view, frame, options), shown)
+        return jpeg(image, w, _QUALITY)
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Write the table [silhouettes] into recording.toml, without a change of other lines; return all settings."""

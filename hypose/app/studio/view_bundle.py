@@ -315,7 +315,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
             notes.append(f"{what}: {error}")
             return None
 
-    body = part("The body is not shown", lambda: body_of(folder, motion))
+    body = part("The body is not shown", lambda: body_of_result(folder, motion))
     if recording is None:
         recording = part("The recording cannot be shown", lambda: find_recording(folder.path))
     first, truth, how = first_frame(motion), None, motion.provenance.get("settings")
@@ -357,7 +357,7 @@ def find_recording(results: Path) -> Recording | None:
     return None if folder is None else load_recording(folder)
 
 
-def body_of(folder: ResultsFolder, motion: Motion) -> Body | None:
+def body_of_result(folder: ResultsFolder, motion: Motion) -> Body | None:
     """Load the body of a result.
 
     folder: folder of the result.

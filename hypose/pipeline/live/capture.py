@@ -73,12 +73,14 @@ class CaptureOptions:
     countdown: before the empty room is learned, s.
     silhouettes: how masks are made.
     network: most people that a network finds where the background is not known; 0: the background is learned.
+    pictures: whether the results for listeners contain the pictures.
     """
 
     rate: float = 30.0
     countdown: float = 5.0
     silhouettes: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     network: int = 0
+    pictures: bool = False
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,6 @@ class LiveEngine:
     person: recipe and seed of tracking, and prior knowledge of the person.
     people: most people that are tracked.
     measure: whether bodies are fitted, and the time offsets of the cameras estimated, while tracking runs.
-    pictures: whether the results for listeners contain the pictures.
     listeners: receivers of the results.
     stop: event from outside that ends it too, also while it starts.
     Raises: InputError where the number of cameras does not suit.
@@ -123,7 +122,6 @@ class LiveEngine:
         *,
         people: int = 1,
         measure: bool = True,
-        pictures: bool = False,
         listeners: Sequence[Listener] = (),
         stop: threading.Event | None = None,
     ) -> None:
@@ -134,7 +132,7 @@ class LiveEngine:
         if any_depth(views) and people > 1:
             raise InputError("Depth cameras follow one person; leave --people out.")
         self._options, self._person = capture or CaptureOptions(), person or LivePersonOptions()
-        self._most, self._pictures = people, pictures
+        self._most = people
         if people > 1:
             self._options = replace(self._options, silhouettes=self._options.silhouettes.of_all_people)
         self.views, self.rig = tuple(views), rig
@@ -233,7 +231,9 @@ class LiveEngine:
         pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         learn, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
-        return CaptureRequest(pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self._pictures, learn, offsets)
+        return CaptureRequest(
+            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self._options.pictures, learn, offsets
+        )
 
     def _one(self, captured: CaptureResult) -> None:
         frame = self._frame(captured)

@@ -102,7 +102,7 @@ def test_what_cannot_be_started_is_said(served_live, more, why):
 class Engine:
     """Shows two instants with nobody in them. failing: then it fails; else it runs, and takes a while to stop."""
 
-    def __init__(self, failing, rig, views, capture, person, *, people, pictures, listeners, stop):
+    def __init__(self, failing, rig, views, capture, person, *, people, listeners, stop):
         self.listeners, self.failed, self._failing = listeners, None, failing
         self.ended, self._shapes = threading.Event(), [c.size for c in working_rig(rig)]
 
@@ -166,5 +166,7 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
 
 def test_the_page_follows_a_person(served_live, page, followed, tmp_path, monkeypatch):
     # so long that the page shows it, however busy the computer is
-    monkeypatch.setattr(live_topics, "CaptureOptions", lambda rate, _, masks: CaptureOptions(rate, 600.0, masks))
+    monkeypatch.setattr(
+        live_topics, "CaptureOptions", lambda rate, _, masks, **more: CaptureOptions(rate, 600.0, masks, **more)
+    )
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)
