@@ -208,10 +208,10 @@ class Teaching:
         record: Path | None = None,
     ) -> None:
         self.source, self.gesture, self.folder = source, gesture, record
-        self.trainer = Trainer(learner_of(old, seed), settings)
+        self.trainer: Trainer = Trainer(learner_of(old, seed), settings)
         self.place: tuple[float, float] = (source.size[0] / 2, 0.45 * source.size[1])
         self.usable, self.final = False, None
-        self.asked = 0
+        self.asked: int = 0
         self._old = old
         self._learned: Counter[tuple[int, str]] = Counter()  # frames and pixels by segment
         self._writer = None if record is None else SessionWriter(record, [gesture], source.lens, source.size)

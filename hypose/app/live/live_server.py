@@ -69,20 +69,20 @@ class LiveServer:
             raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
         self.host, self.udp, self.ws, self.osc, self.record = host, udp, ws, osc, record
         self.settings, self.token = settings or AlignSettings(), token_for(host, token)
-        self.fuser = LiveFuser(self.settings)
+        self.fuser: LiveFuser = LiveFuser(self.settings)
         self.received = self.used = self.ignored = self.frames = 0
         self.latencies: deque[float] = deque(maxlen=3000)
-        self.people = 0
+        self.people: int = 0
         self.udp_port = self.ws_port = 0
         self._note = note
         self.clock: Callable[[], float] | None = None  # monotonic, s; None: that of the event loop
         self._complained, self._silent = -math.inf, 0
         self._writer = FolderWriter(record) if record is not None else None
-        self.unrecorded = ""  # why a requested recording is not complete
+        self.unrecorded: str = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self.listeners: list[_Say] = []  # receivers of all messages
-        self.sockets = SocketServer(self._hello, clients=32, take=self.take, token=self.token)
+        self.sockets: SocketServer = SocketServer(self._hello, clients=32, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
 

@@ -190,10 +190,10 @@ class TrackingRun:
         stop: threading.Event | None = None,
         **outputs: Any,  # noqa: ANN401 (of different types)
     ) -> None:
-        self.cameras = tuple(v.name for v in cameras.views)
+        self.cameras: tuple[str, ...] = tuple(v.name for v in cameras.views)
         self.recorder: LiveRecorder | None = None
         with contextlib.ExitStack() as parts:
-            self.outputs = PoseOutputs(self.cameras, cameras.rate, clock=time.monotonic, **outputs)
+            self.outputs: PoseOutputs = PoseOutputs(self.cameras, cameras.rate, clock=time.monotonic, **outputs)
             parts.callback(self.outputs.close)
             listeners = [self.outputs, *listeners]
             if record is not None:
@@ -202,7 +202,7 @@ class TrackingRun:
                 listeners.append(self.recorder)
             capture = replace(capture, pictures=capture.pictures or record is not None)
             about = {"people": people, "listeners": listeners, "stop": stop}
-            self.engine = LiveEngine(cameras.rig, cameras.views, capture, person, **about)
+            self.engine: LiveEngine = LiveEngine(cameras.rig, cameras.views, capture, person, **about)
             parts.callback(self.engine.stop)
             self.engine.start()
             parts.pop_all()

@@ -197,12 +197,12 @@ class SocketListeners:
 
     def __init__(self, port: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
         self._loop = asyncio.new_event_loop()
-        self.server = SocketServer(hello)
+        self.server: SocketServer = SocketServer(hello)
         quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         try:
-            self.port = self._in_loop(self.server.start("127.0.0.1", port))
+            self.port: int = self._in_loop(self.server.start("127.0.0.1", port))
         except OSError as error:
             self._end_loop()
             raise InputError(

@@ -585,7 +585,7 @@ class ViewSource:
     ) -> None:
         self.view = view
         self._threads = max(1, default_threads() // parallel)
-        self.prepare = Preparer(camera, small, view.image_shift)
+        self.prepare: Preparer = Preparer(camera, small, view.image_shift)
         masks = view.files.get("masks")
         self._masks = _MaskSource(view, masks, self.prepare, small.size) if masks else None
         self.depth = DepthSource(view, camera, small, people) if "depth" in view.files else None

@@ -190,7 +190,7 @@ class VideoReader:
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
         self.position, self._decoded, self.jumps = 0, 0, False
         self._memory: Image | None = None  # of the last frame
-        self.is_sequence = self._images is not None
+        self.is_sequence: bool = self._images is not None
         self.size, self.frame_rate, self.stated_frames, self.n_frames = _about(path)
         if self._stored is not None:
             self.n_frames = len(self._stored)
@@ -488,10 +488,10 @@ class VideoWriter:
     """
 
     def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int]) -> None:
-        self.path = Path(path)
-        self.frame_rate = float(frame_rate)
-        self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
-        self.n_frames = 0
+        self.path: Path = Path(path)
+        self.frame_rate: float = float(frame_rate)
+        self.size: tuple[int, int] = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
+        self.n_frames: int = 0
         faults = {
             f": name the video {', '.join(_CODECS)}": self.path.suffix.lower() not in _CODECS,
             f" with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; give a positive frame rate and at least 2 x "
