@@ -89,7 +89,7 @@ def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
 def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tmp_path, monkeypatch):
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)
-        assert hypose("track", tiny, "--out", tmp_path / count, "--frames", ":3", *LIGHT)[0] == 0
+        assert hypose("track", tiny, "--out", tmp_path / count, "--frames", "4:7", *LIGHT)[0] == 0
     assert (tmp_path / "1" / "motion.npz").read_bytes() == (tmp_path / "2" / "motion.npz").read_bytes()
 
 
