@@ -80,6 +80,7 @@ class Task:
         """The tracking job, which continues where an earlier one stopped. A truth.npz in the recording's folder is
         compared with the motion.
         """
+        recorded_options(self.command.recording)  # a fault in them refuses this task
         job = job_of(replace(self.command, out=self.results, resume=True, report=True))
         truth = job.recording.folder / "truth.npz"
         compared = partial(compare_with_truth, truth, first=job.recording.frames.start)
@@ -119,13 +120,24 @@ def read_table(path: Path, **more: Any) -> list[Task]:  # noqa: ANN401 (of diffe
             for name in options.keys() & {"subject", "calibration"}:
                 options[name] = type(options[name])(path.parent / Path(options[name]).expanduser())
             recording = path.parent / Path(row["recording"].strip()).expanduser()
-            command = TrackCommand(recording=recording, **{**recorded_options(recording), **more, **options})
+            command = _command(recording, more | options)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
         tasks.append(Task(command, (row.get("name") or "").strip() or "default"))
     if not tasks:
         raise InputError(f"{path} names no recording; write one in each line below the first.")
     return tasks
+
+
+def _command(recording: Path, options: Mapping[str, Any]) -> TrackCommand:
+    """Join the options that a recording keeps with those of the table or the command line, which come first.
+
+    A recording whose options cannot be read keeps none here; planning its task names the fault, and refuses it alone.
+    """
+    kept: dict[str, Any] = {}
+    with contextlib.suppress(InputError):
+        kept = recorded_options(recording)
+    return TrackCommand(recording=recording, **{**kept, **options})
 
 
 def wanted(given: Sequence[Path], **more: Any) -> list[Task]:  # noqa: ANN401 (of different types)
@@ -143,7 +155,7 @@ def wanted(given: Sequence[Path], **more: Any) -> list[Task]:  # noqa: ANN401 (o
             f"{given[0]} is neither a table (.csv) nor the folder of a recording; for all recordings in a folder give "
             f"{given[0]}/*, see docs/batch.md."
         )
-    return [Task(TrackCommand(recording=p, **{**recorded_options(p), **more})) for p in folders]
+    return [Task(_command(p, more)) for p in folders]
 
 
 def ordered_tasks(
