@@ -147,32 +147,31 @@ def visual_hull(
     given, ignored = silhouettes.informative, silhouettes.ignored
     if surely is None:
         surely = min(len(views), 3 if silhouettes.expected is None else 2)
-    sure = 0 if ignored is None else surely
     free_of = given if ignored is None else silhouettes.masks | ignored
     sums = {int(c): np.asarray(cv2.integral(free_of[c]), np.int32) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
-        free, hits, plain = (np.zeros(len(index), np.int16) for _ in range(3))
+        free, hits = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
         for k, c in enumerate(views):
             camera = silhouettes.rig[int(c)]
             empty, hit = _free_cells(camera, free_of[c], sums[int(c)], centres, edge if level else 0.0)
             free += empty
             hits += hit
-            if sure and not level:
-                plain += _free_cells(camera, given[c], sums[int(c)], centres, 0.0)[1]
             # voxels that are already excluded are not tested again
             left = len(views) - 1 - k
-            open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
-            index, centres = index[open_], centres[open_]
-            free, hits, plain = free[open_], hits[open_], plain[open_]
+            open_ = (free <= miss) & (hits + left >= min_views)
+            index, centres, free, hits = index[open_], centres[open_], free[open_], hits[open_]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
                 raise InputError(
                     f"The masks fill too much space for {voxel:g} m voxels; use larger ones or give bounds."
                 )
+    if ignored is not None:
+        plain = [_free_cells(rig[int(c)], given[c], sums[int(c)], centres, 0.0)[1] for c in views]
+        index = index[np.sum(plain, axis=0) >= surely]
     if len(index) == 0:
         raise EvidenceError(
             "The visual hull is empty: the silhouettes of the cameras "
