@@ -235,25 +235,15 @@ def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
     """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
     views that are not usable.
     """
-    points, rig = hull.surface_points, silhouettes.rig
-    pictures = np.zeros(silhouettes.masks.shape, dtype=np.bool_)
-    for c, camera in enumerate(rig):
+    step = np.array([-0.5, 0.5]) * hull.voxel
+    cubes = hull.surface_points[:, None] + np.stack(np.meshgrid(step, step, step), -1).reshape(8, 3)
+    pictures = np.zeros_like(silhouettes.masks)
+    for c, camera in enumerate(silhouettes.rig):
         w, h = camera.size
-        depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        near = depth[depth > 1e-3].min(initial=np.inf)
-        if not np.isfinite(near):
-            continue
-        # samples within each cube at most one pixel apart, its faces included
-        n = int(np.clip(np.ceil(max(camera.K[0, 0], camera.K[1, 1]) * hull.voxel / near) + 1, 2, 24))
-        step = np.linspace(-0.5, 0.5, n) * hull.voxel
-        grid = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
-        if n > 2:  # the inside of a cube is hidden by its faces
-            grid = grid[(np.abs(grid) > 0.499 * hull.voxel).any(1)]
-        for offset in grid:
-            uv = camera.project_pinhole(points + offset)
-            uv = np.rint(uv[np.isfinite(uv).all(1)]).astype(np.int64)
-            uv = uv[((uv >= 0) & (uv < (w, h))).all(1)]
-            pictures[c, uv[:, 1], uv[:, 0]] = True
+        corners = camera.project_pinhole(cubes.reshape(-1, 3)).reshape(-1, 8, 2)
+        corners = np.clip(corners[np.isfinite(corners).all((1, 2))], -4 * max(w, h), 4 * max(w, h))
+        for cube in np.rint(corners).astype(np.int32):
+            cv2.fillConvexPoly(pictures[c, :h, :w], cv2.convexHull(cube), 1)
     masks = silhouettes.masks > 0
     both, either = (pictures & masks).sum((1, 2)), (pictures | masks).sum((1, 2))
     return np.where(silhouettes.usable, both / np.maximum(either, 1), np.nan)
