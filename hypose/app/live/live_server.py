@@ -150,7 +150,7 @@ class LiveServer:
         except InputError as error:
             return self._ignore(str(error).rstrip("."), now)
         self.used += fresh
-        self._record(lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state))
+        self._record(lambda writer: writer.add(line))
         self.tick()
         return None
 
