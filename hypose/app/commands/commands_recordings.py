@@ -151,7 +151,7 @@ def synth(c: SynthCommand) -> None:
 def depth_import(
     sources: Annotated[
         tuple[Path, ...],
-        Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
+        Option("One per camera: Azure Kinect .mkv, RealSense .bag, or a folder of maps.", argument=True),
     ],
     out: Annotated[Path, Option("New folder for the recording.")],
     empty: Annotated[

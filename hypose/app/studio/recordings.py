@@ -382,7 +382,7 @@ _MOST_LISTED, _DEPTH = 60, 3
 _SERIES = 3
 """Number of pictures or key-point files in a folder from which they count as the frames of one camera."""
 _CALIBRATION_ENDINGS = (".toml", ".yml", ".yaml", ".xml")
-_TABLE_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy", ".npz", ".txt", ".pickle")
+_TABLE_ENDINGS = (".json", ".csv", ".npy", ".npz", ".txt", ".pickle")
 _LARGEST_CALIBRATION = 20 << 20
 _PICTURE_PX = 320
 _SETTINGS = ("calibration_unit", "world_up", "frame_rate", "subject_height")
