@@ -390,7 +390,7 @@ def prepare(
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
         if term is not None:
             weaker = with_masks(term, model) if masks else term
-            found.append(KeypointEvidence((term.points[..., 2] > 0).any(1), (weaker,), term))
+            found.append(KeypointEvidence(np.any(term.points[..., 2] > 0, axis=1), (weaker,), term))
     found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)
