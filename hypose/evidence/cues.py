@@ -362,7 +362,7 @@ def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> li
 
 _NO_VIEWS, _NO_MASK, _NO_COUNT = np.zeros(0, np.bool_), np.zeros((0, 1, 1), np.uint8), np.zeros(0, np.int64)
 _NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
-_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0], _NO_MASK)
+_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0])
 _NO_MAPS = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, _NO_COUNT)
 NO_SILHOUETTES = SilhouetteEvidence(_NO_VIEWS, (), PreparedMasks(*_NO_MASKS))
 NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), arrays.NO_KEYPOINTS)

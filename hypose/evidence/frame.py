@@ -194,6 +194,7 @@ class SensorReport:
     joint_names: (J,).
     positions: (J, 3) in the sensor's frame, m, NaN where missing.
     state: (J,) uint8, per joint: 0 not tracked, 1 inferred, 2 tracked.
+    joint_depth: (J,) depth of the sensor's depth map at the joint's pixel, m, 0 = hole; None without depth maps.
     """
 
     sensor: str
@@ -203,6 +204,7 @@ class SensorReport:
     positions: Array
     state: NDArray[np.uint8]
     arrival: float | None = None
+    joint_depth: Array | None = None
 
 
 @dataclass(frozen=True)
