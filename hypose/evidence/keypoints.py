@@ -164,6 +164,14 @@ _OF_BLAZEPOSE: Mapping[str, tuple[float, float, float]] = {
 }
 
 
+# Joints that carry the key points at other joints.
+_CARRIERS = {
+    "shoulder": "{}_clavicle",
+    "hip": "pelvis",
+    **{part: f"{{}}_{part}" for part in ("elbow", "wrist", "knee", "ankle")},
+}
+
+
 def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
     """Look up where key points sit on a body.
 
@@ -173,31 +181,26 @@ def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Ar
     network's offsets.
     Returns: joint (K,); offset (K, 3) in the joint's rest frame, m; known (K,), False for unknown names.
     """
-    s, rest = body.skeleton, body.skeleton.rest_joints
-    at: dict[str, tuple[str, Array]] = {}
-    for side in ("left", "right"):
-        for part in ("elbow", "wrist", "knee", "ankle"):
-            at[f"{side}_{part}"] = (f"{side}_{part}", rest[s.joint(f"{side}_{part}")])
-        at[f"{side}_shoulder"] = (f"{side}_clavicle", rest[s.joint(f"{side}_shoulder")])
-        at[f"{side}_hip"] = ("pelvis", rest[s.joint(f"{side}_hip")])
+    s, rest, marks = body.skeleton, body.skeleton.rest_joints, body.landmarks
+    at = {
+        f"{side}_{part}": (carrier.format(side), rest[s.joint(f"{side}_{part}")])
+        for side in ("left", "right")
+        for part, carrier in _CARRIERS.items()
+    }
     for name, carrier, part in (("neck", "chest", "shoulder"), ("mid_hip", "pelvis", "hip")):
         at[name] = (carrier, 0.5 * (rest[s.joint(f"left_{part}")] + rest[s.joint(f"right_{part}")]))
     at["upper_neck"] = ("neck", rest[s.joint("neck")])
     joint, offset = np.zeros(len(names), dtype=np.int64), np.zeros((len(names), 3))
-    known = np.zeros(len(names), dtype=np.bool_)
+    known = np.array([n in at or n in marks.names for n in names], dtype=np.bool_)
     for k, name in enumerate(names):
         if name in at:
             joint[k] = s.joint(at[name][0])
             offset[k] = at[name][1] - rest[joint[k]]
-        elif name in body.landmarks.names:
-            i = body.landmarks.index(name)
-            joint[k], offset[k] = body.landmarks.joint[i], body.landmarks.offset[i]
-        else:
-            continue
-        known[k] = True
+        elif known[k]:
+            joint[k], offset[k] = marks.joint[marks.index(name)], marks.offset[marks.index(name)]
         side, _, part = name.partition("_")
         moved = _OF_BLAZEPOSE.get(part, _OF_BLAZEPOSE.get(name)) if tuple(names) == BLAZEPOSE_33 else None
-        if moved is not None:
+        if known[k] and moved is not None:
             offset[k] += body.stature * np.array(moved) * (-1 if side == "right" else 1, 1, 1)
     return joint, offset, known
 
@@ -440,17 +443,13 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
         enough = seen.sum(1) >= 6
         far, seen = far[enough], seen[enough]
         extent = np.nanmax(np.nanmax(far, 1) - np.nanmin(far, 1), 1) if len(far) else np.zeros(0)
-    ratios, bones = [], 0
-    for a, b, longest in _LONGEST:
-        if a not in names or b not in names:
-            continue
-        i, j = names.index(a), names.index(b)
+    at, ratios, bones = {n: k for k, n in enumerate(names)}, list[float](), 0
+    for i, j, longest in ((at[a], at[b], longest) for a, b, longest in _LONGEST if a in at and b in at):
         both = seen[:, i] & seen[:, j] & (extent > 1e-6)
-        if not both.any():
-            continue
-        share = np.linalg.norm(far[both, i] - far[both, j], axis=1) / extent[both]
-        bones += int(both.sum())
-        ratios.append(float(np.median(share)) / longest)
+        if both.any():
+            share = np.linalg.norm(far[both, i] - far[both, j], axis=1) / extent[both]
+            bones += int(both.sum())
+            ratios.append(float(np.median(share)) / longest)
     if bones < _ENOUGH or len(ratios) < 5:
         return float("nan")
     # where only a part of the person is in the picture, all bones are too long by the same factor
@@ -470,8 +469,7 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
         are not, or where no set has this number of points or fits.
     """
     count = views[0].shape[1]
-    fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]
-    fitting = list(dict.fromkeys(fitting))
+    fitting = [s for s in dict.fromkeys([*usual, *KEYPOINT_SETS]) if len(KEYPOINT_SETS.get(s, ())) == count]
     if stated is not None:
         names = keypoint_names(stated)
         stated = next(s for s, n in KEYPOINT_SETS.items() if n == names)
@@ -482,22 +480,20 @@ def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[st
     if not fitting:
         known = ", ".join(f"{s} ({len(n)})" for s, n in KEYPOINT_SETS.items())
         raise InputError(f"there are {count} points per person, which no set has; known are {known}.")
-    excess = dict.fromkeys(fitting, float("nan"))
-    for s in fitting:
-        if known := [v for p in views if (v := bone_excess(p, s)) == v]:
-            excess[s] = float(np.mean(known))
-    first = excess[fitting[0]]
-    better = min((s for s in fitting if excess[s] == excess[s]), key=lambda s: excess[s], default=fitting[0])
+    of_views = {s: np.array([bone_excess(p, s) for p in views]) for s in fitting}
+    excess = {s: float(np.mean(v[np.isfinite(v)])) for s, v in of_views.items() if np.isfinite(v).any()}
+    better = min(excess, key=lambda s: excess[s], default=fitting[0])
+    least = excess.get(better, 0.0)
     if stated is not None:
-        if first > IMPLAUSIBLE and excess[better] < 0.5 * IMPLAUSIBLE:
+        if excess.get(stated, 0.0) > IMPLAUSIBLE and least < 0.5 * IMPLAUSIBLE:
             raise InputError(f"the bones do not fit {stated} but {better}; correct keypoint_set.")
         return stated, "stated"
-    if excess[better] > IMPLAUSIBLE:
+    if least > IMPLAUSIBLE:
         raise InputError(
             f"there are {count} points per person, but as {better} their bones have impossible lengths, so they are "
             "in another order; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
         )
-    others = [excess[s] for s in fitting if s != better and excess[s] == excess[s]]
-    if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:
+    others = [x for s, x in excess.items() if s != better]
+    if others and min(others) - least > 0.4 * IMPLAUSIBLE:
         return better, "by the lengths of bones"
     return fitting[0], "by their number"
