@@ -210,19 +210,12 @@ class LiveServer:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
         sensors = [
             {
-                "name": s.name,
-                "alive": s.alive,
-                "rate": round(s.rate, 1),
-                "offset": round(s.offset, 5),
-                "jumps": s.jumps,
-                "returns": s.returns,
-                "used": s.used,
-                "refused": s.refused,
-                "registered": s.name in residuals,
-                "residual": round(residuals.get(s.name, math.nan), 5),
-                "place": places[s.name].round(4).tolist() if s.name in places else None,
+                **status,
+                "registered": status["name"] in residuals,
+                "residual": round(residuals.get(status["name"], math.nan), 5),
+                "place": places[status["name"]].round(4).tolist() if status["name"] in places else None,
             }
-            for s in self.fuser.aligner.status(now)
+            for status in self.fuser.aligner.status(now)
         ]
         counts = {
             "received": self.received,
@@ -314,5 +307,5 @@ def _say_where(server: LiveServer, say: _Say) -> None:
 def _summary(server: LiveServer) -> str:
     ordered = sorted(server.latencies)
     p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
-    alive = sum(s.alive for s in server.fuser.aligner.status(server.now()))
+    alive = sum(s["alive"] for s in server.fuser.aligner.status(server.now()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."
