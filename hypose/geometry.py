@@ -270,3 +270,18 @@ def runs(flags: NDArray[np.bool_]) -> list[range]:
     """Find the consecutive marked frames in flags (T,), as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
     return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def interpolated(values: ArrayLike) -> Array:
+    """Fill unknown frames (NaN) of each number in values (T, ...) by linear interpolation in time.
+
+    Before the first and after the last known frame the value of that frame is taken; numbers that are never known stay
+    NaN.
+    """
+    out = np.array(values, dtype=np.float64)
+    frames, columns = np.arange(len(out)), out.reshape(len(out), -1)
+    for column in columns.T:
+        known = np.isfinite(column)
+        if known.any() and not known.all():
+            column[:] = np.interp(frames, frames[known], column[known])
+    return out

@@ -30,7 +30,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import sizes
 from hypose.evidence.silhouettes import biggest_parts
-from hypose.geometry import Array, frame_of, skew, unit
+from hypose.geometry import Array, frame_of, interpolated, skew, unit
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -440,15 +440,8 @@ def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
     """Smooth values (T, ...) over time where seen (of as many axes); gaps are interpolated, and values that are never
     seen are 0.
     """
-    t = np.arange(len(values))
-    flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
-    known = np.broadcast_to(seen, values.shape).reshape(len(values), -1) & np.isfinite(flat)
-    for k in range(flat.shape[1]):
-        if known[:, k].any():
-            flat[:, k] = np.interp(t, t[known[:, k]], flat[known[:, k], k])
-        else:
-            flat[:, k] = 0.0
-    return np.asarray(gaussian_filter1d(flat, sd, axis=0), dtype=np.float64).reshape(values.shape)
+    filled = np.nan_to_num(interpolated(np.where(seen, values, np.nan)))
+    return np.asarray(gaussian_filter1d(filled, sd, axis=0), dtype=np.float64)
 
 
 def _spline(values: Array, at: Array | None = None) -> CubicSpline:
@@ -509,9 +502,7 @@ def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, plane
             if points is not None and tracks[c].area[t] > 0:
                 angle, _ = _angles(rig, c, points, frame) if len(points) else (np.zeros(0), None)
                 activity[t] = np.histogram(np.clip(angle, edges[0], edges[-1]), edges)[0] / tracks[c].area[t]
-        seen = np.isfinite(activity).all(1)
-        if seen.sum() < 8:
+        if np.isfinite(activity).all(1).sum() < 8:
             return None
-        t = np.arange(len(activity))
-        out.append(np.stack([np.interp(t, t[seen], np.sqrt(activity[seen, k])) for k in range(BINS)], 1))
+        out.append(interpolated(np.sqrt(activity)))
     return out[0], out[1]

@@ -13,7 +13,7 @@ import numpy as np
 
 from hypose.compute.arrays import NOT_KNOWN, OUTLINE_POINTS, RIM, SPACING_OF_HEIGHT
 from hypose.compute.compiled import kernel
-from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, fill_strip
+from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, sum_strip
 from hypose.compute.losses import geman_mcclure_kernel as geman_mcclure
 from hypose.compute.rows import BORDER
 
@@ -355,7 +355,7 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     emit_lines(n, lines, x0, y0, width, height, ws.difference)
     own, stride = ws.own, ws.difference.shape[1]
     for s in range(0, width, STRIP):
-        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # the counts are not used
+        sum_strip(ws.difference, s, stride, height, s >> 3, stride >> 3, None, None, own, None)
     for x in range(width):
         ws.difference[height, x] = 0
     _lengths(n, lines)

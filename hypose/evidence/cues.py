@@ -30,7 +30,6 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import (
     Evidence,
     KeypointTerm,
@@ -296,7 +295,7 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
     Returns: list of one Evidence; an empty list where no view has an outline.
      weight: weight of a contour row.
     """
-    masks = prepared_masks(silhouettes)
+    masks = silhouettes.prepared
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
     except EvidenceError:  # masks that are foreground from border to border have no outline: no evidence either
@@ -314,15 +313,6 @@ def depth_evidence(depth: Depth) -> list[Evidence]:
         return []
     views, maps = seen_depth(depth)
     return [DepthEvidence(views, (term,), maps)]
-
-
-def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
-    """Prepare key points for tracking.
-
-    term: the key points with their full weight, for comparing solutions.
-    weaker: the same key points with the smaller weights that solves use.
-    """
-    return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
@@ -378,7 +368,7 @@ def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> li
 
 _NO_VIEWS, _NO_MASK, _NO_COUNT = np.zeros(0, np.bool_), np.zeros((0, 1, 1), np.uint8), np.zeros(0, np.int64)
 _NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
-_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0], _NO_MASK)
+_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0])
 _NO_MAPS = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, _NO_COUNT)
 NO_SILHOUETTES = SilhouetteEvidence(_NO_VIEWS, (), PreparedMasks(*_NO_MASKS))
 NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), arrays.NO_KEYPOINTS)

@@ -305,9 +305,7 @@ class HullPerson:
     @property
     def is_person(self) -> bool:
         """Whether the hull has the volume of a person, or of a child."""
-        if self.tall:
-            return self.litres > LITRES
-        return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
+        return _like_a_person(self.hull.height, self.litres, self.litres)
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
         """Draw the person in all views, with gaps closed; about: draw only the hull within this distance of the axis,
@@ -372,21 +370,15 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
     floor: height of the floor, m.
     most: largest number of people.
     surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
-    """
-    return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
-
-
-def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
-    """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to each.
-
-    floor: height of the floor, m.
-    most: largest number of people.
-    surface: as for `people_of_hull`.
+    Returns: the people, in the order of the hull's density where they stand.
     """
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
     disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, _APART))
+    around = np.rint(
+        cv2.filter2D(filled.astype(np.float32), -1, disc.astype(np.float32), borderType=cv2.BORDER_CONSTANT)
+    )
     beyond = wide.shape[0] // 2
     free = np.pad(density > 0, beyond)  # so that no disc ends at the plan's border
     axes: list[Array] = []
@@ -398,7 +390,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
             continue
         taken = small
         # most places have too little hull around them
-        if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
+        if around[i, j] * litre > (surface or CHILD_LITRES):
             axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
             if _stands(points[away < ABOUT], np.count_nonzero(away < PART_OF_LARGER_M) * litre, litre, floor, surface):
@@ -414,9 +406,10 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         nearest = away.argmin(1)
         nearby = (away < PART_OF_LARGER_M).sum(0) * litre
         near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
-        stands = [_stands(own, nearby[k], litre, floor, surface) for k, own in enumerate(near)]
+        stands = [_stands(part, nearby[k], litre, floor, surface) for k, part in enumerate(near)]
         if all(stands) or len(axes) == 1:
-            return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
+            own = [(nearest == k) & (away[:, k] < REACH) for k in range(len(axes))]
+            return [HullPerson(_part(hull, part, axis), axis) for axis, part in zip(axes, own, strict=True)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
         del axes[worst]
 
@@ -426,20 +419,6 @@ def _disc(radius: float) -> NDArray[np.bool_]:
     r = int(radius)
     u, v = np.ogrid[-r : r + 1, -r : r + 1]
     return np.hypot(u, v) < radius
-
-
-def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
-    """Sum the plan within a disc around one of its cells.
-
-    filled: (nx, ny) number of voxels in each column.
-    i, j: the cell.
-    disc: as built by `_disc`.
-    """
-    r = disc.shape[0] // 2
-    low, left = max(i - r, 0), max(j - r, 0)
-    part = filled[low : i + r + 1, left : j + r + 1]
-    own = disc[low - i + r :, left - j + r :][: part.shape[0], : part.shape[1]]
-    return int(part[own].sum())
 
 
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
@@ -454,7 +433,13 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
     """
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
-    litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
+    return _like_a_person(float(np.ptp(near[:, 2])), len(near) * litre, nearby, surface)
+
+
+def _like_a_person(height: float, litres: float, nearby: float, surface: float = 0.0) -> bool:
+    """Decide by height, m, and volume, litres, whether a hull may be a person, or a child; nearby, surface: as for
+    `_stands`.
+    """
     if height > _TALL:
         return litres > (surface or LITRES)
     return not surface and height > CHILD and litres > CHILD_LITRES and nearby < SLENDER * height**3

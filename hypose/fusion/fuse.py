@@ -47,7 +47,7 @@ from hypose.fusion.swarm import (
     start_swarm,
     swarm_step,
 )
-from hypose.geometry import Array
+from hypose.geometry import Array, interpolated
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
 FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
@@ -162,8 +162,7 @@ def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     without any time has 30 frames per second.
     """
     times = np.array([np.nanmax(f.times) if np.isfinite(f.times).any() else np.nan for f in joints])
-    known, index = np.isfinite(times), np.arange(len(times))
-    return np.interp(index, index[known], times[known]) if known.any() else index / 30
+    return interpolated(times) if np.isfinite(times).any() else np.arange(len(times)) / 30
 
 
 def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: int) -> Iterator[SwarmEstimate]:

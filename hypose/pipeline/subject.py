@@ -23,7 +23,7 @@ from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
-from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.evidence.keypoints import lasting_m, triangulate_keypoints
 from hypose.fitting import fit_pose
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, far_apart
@@ -305,7 +305,7 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])
     chosen = different_poses(fitted.body, poses, overlap, SETTINGS.subject_poses)
     seen = [usable[k] for k in chosen]
-    square = float(np.nanmedian(fitted.residual)) ** 2
+    square = float(np.nanmedian(fitted.residual)) ** 2 + lasting_m(fitted.keypoints.names) ** 2
     known = Known(bones=float(np.clip(SETTINGS.subject_bones * square, *SETTINGS.subject_sure_bones)))
     fit = refine_shape(fitted.body, poses[chosen], [surface_evidence(frames[n]) for n in seen], known=known)
     after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])
