@@ -250,6 +250,22 @@ def procrustes(
     return se3(k * r, cb - k * r @ ca), k
 
 
+def far_apart(points: Array, first: int, count: int, apart: float = 0.0) -> list[int]:
+    """Choose points that lie as far from each other as possible (farthest-point sampling).
+
+    points: (N, D) of any space.
+    first: index of the point that is chosen first.
+    count: largest number of points.
+    apart: least distance of a point from those chosen before; nearer ones are left out.
+    Returns: indices in increasing order.
+    """
+    chosen, distance = [first], np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < min(count, len(points)) and distance.max() > apart:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return sorted(chosen)
+
+
 def runs(flags: NDArray[np.bool_]) -> list[range]:
     """Find the consecutive marked frames in flags (T,), as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))

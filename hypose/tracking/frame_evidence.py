@@ -33,7 +33,6 @@ from hypose.evidence.cues import (
     PoseMemory,
     SilhouetteEvidence,
     depth_evidence,
-    keypoint_evidence,
     own_evidence,
     silhouette_evidence,
 )
@@ -390,7 +389,8 @@ def prepare(
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
         if term is not None:
-            found.append(keypoint_evidence(term, with_masks(term, model) if masks else term))
+            weaker = with_masks(term, model) if masks else term
+            found.append(KeypointEvidence(np.any(term.points[..., 2] > 0, axis=1), (weaker,), term))
     found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)
