@@ -6,7 +6,6 @@ people have and not to what it expects.
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -212,46 +211,6 @@ def _deeplabcut(folder: Path, points: Array, rig: CameraRig, names: tuple[str, .
     return out
 
 
-def _deeplabcut_h5(folder: Path, points: Array, rig: CameraRig, names: tuple[str, ...]) -> list[Path]:
-    h5py = importlib.import_module("h5py")  # an extra
-
-    out = []
-    for camera, frames in zip(rig, points, strict=True):
-        out.append(folder / f"{camera.name}DLC.h5")
-        columns = [("DLC", n, c) for n in names for c in ("x", "y", "likelihood")]
-        kind = np.dtype([("index", "<i8"), ("values_block_0", "<f8", (len(columns),))])
-        table = np.zeros(len(frames), kind)
-        table["index"], table["values_block_0"] = np.arange(len(frames)), frames.reshape(len(frames), -1)
-        with h5py.File(out[-1], "w") as file:
-            group = file.create_group("df_with_missing")
-            group.create_dataset("table", data=table)
-            group.attrs["non_index_axes"] = np.bytes_(pickled_columns(columns))
-    return out
-
-
-def pickled_columns(columns: list[tuple[str, ...]]) -> bytes:
-    """As pandas keeps them: a pickle of protocol 0 of [(1, columns)]."""
-    import pickle
-
-    return pickle.dumps([(1, columns)], protocol=0)
-
-
-def _sleap_h5(folder: Path, points: Array, rig: CameraRig, names: tuple[str, ...]) -> list[Path]:
-    h5py = importlib.import_module("h5py")  # an extra
-
-    out = []
-    for camera, frames in zip(rig, points, strict=True):
-        out.append(folder / f"{camera.name}.analysis.h5")
-        xy = np.where(frames[..., 2:] > 0, frames[..., :2], np.nan)
-        with h5py.File(out[-1], "w") as file:  # transposed, as MATLAB expects
-            file["tracks"] = xy.transpose(2, 1, 0)[None]
-            file["point_scores"] = frames[..., 2].T[None]
-            file["track_occupancy"] = np.ones((len(frames), 1), np.uint8)
-            file["node_names"] = np.array(names, dtype="S")
-            file["track_names"] = np.array(["person"], dtype="S")
-    return out
-
-
 def _sleap_csv(folder: Path, points: Array, rig: CameraRig, names: tuple[str, ...]) -> list[Path]:
     out = []
     for camera, frames in zip(rig, points, strict=True):
@@ -305,13 +264,10 @@ LAYOUTS: Mapping[str, tuple[str, Writer]] = {
     "easymocap": ("BODY_25", _easymocap),
     "ultralytics": ("COCO_17", _ultralytics),
     "deeplabcut-csv": ("HALPE_26", _deeplabcut),
-    "deeplabcut-h5": ("HALPE_26", _deeplabcut_h5),
     "sleap-csv": ("COCO_17", _sleap_csv),
-    "sleap-h5": ("COCO_17", _sleap_h5),
     "caliscope": ("BLAZEPOSE_33", _caliscope),
     "caliscope-old": ("BLAZEPOSE_33", lambda f, p, r, n: _caliscope(f, p, r, n, old=True)),
     "freemocap": ("BLAZEPOSE_33", _freemocap),
 }
 """Layout -> the set that it usually holds, and its writer."""
-NEED_H5PY = ("deeplabcut-h5", "sleap-h5")
 UNSCORED = ("caliscope", "caliscope-old", "freemocap")

@@ -269,6 +269,4 @@ class SessionWriter:
             self._settle(0)
         finally:
             self._thread.shutdown()
-            self._frames.close()
-            self._actions.close()
-        self._folder.check()
+            self._folder.close()

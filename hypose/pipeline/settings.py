@@ -227,9 +227,9 @@ class PipelineSettings:
     subject_the_person: Mean IoU of the template's girths up to which masks do not belong to the person of the key
         points.
     subject_bones, subject_sure_bones: Relative standard deviation of bones around those of the key points, per squared
-        median distance of the key points from the fitted body (1/m^2), since scatter makes lengths uncertain in this
-        proportion; and its limits. Chosen on bodies from plain, detector-like and thinned out key points (combo, seeds
-        1248 to 1253).
+        error of the key points (1/m^2), their median distance from the fitted body and their constant error, since both
+        make lengths uncertain in this proportion; and its limits. Chosen on bodies from plain, detector-like and
+        thinned out key points (combo, seeds 1248 to 1253).
     subject_height_off: Relative differences between the height that masks or depth show and the given one from which a
         motion is to be reviewed, and not to be trusted.
     subject_sure, subject_no_worse: Largest standard deviation of the height's logarithm with which it is used, and

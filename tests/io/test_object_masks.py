@@ -1,4 +1,3 @@
-import json
 import struct
 import zlib
 from dataclasses import replace
@@ -52,13 +51,6 @@ def write_images(folder, images):
     return folder
 
 
-COCO = {
-    1: ([250, *[30, 18] * 14, 30, 2120], f"j7n0b{'0' * 28}fQ2"),
-    2: ([1932, *[32, 16] * 15, 32, 388], f"\\l1P1`{'0' * 30}d;"),
-}
-"""COCO's run lengths of the two objects in LABELS, as numbers and as pycocotools packs them."""
-
-
 def check(found, names=("1", "2")):
     assert isinstance(found, ObjectMasks)
     assert found.size == SIZE and found.objects == names
@@ -96,58 +88,6 @@ def test_one_folder_per_object(tmp_path):
     found = open_masks(tmp_path / "m")
     check(found, ("anna", "bert"))
     assert found.n_frames == 3 and set(found.at(2)) == {"anna"}
-
-
-@pytest.mark.parametrize("as_text", [False, True])
-def test_coco(tmp_path, as_text):
-    marks = []
-    for frame in range(3):
-        for number in (1, 2):
-            counts = COCO[number][as_text]
-            marks.append(
-                {
-                    "id": len(marks) + 1,
-                    "image_id": 70 + frame,
-                    "track_id": number,
-                    "segmentation": {"size": [48, 64], "counts": counts},
-                }
-            )
-    images = [{"id": 70 + i, "file_name": f"f{i}.png", "width": 64, "height": 48} for i in (2, 0, 1)]
-    images = [{**i, "file_name": f"f{i['id']}.png"} for i in images]
-    path = tmp_path / "m.json"
-    path.write_text(json.dumps({"images": images, "annotations": marks}))
-    check(open_masks(path))
-
-
-def test_youtube_vis_and_polygons(tmp_path):
-    def corners(number):
-        v, u = np.nonzero(LABELS == number)
-        a, b, c, d = int(u.min()), int(u.max()), int(v.min()), int(v.max())
-        return [[a, c, b, c, b, d, a, d]]
-
-    marks = [{"id": n, "segmentations": [None, corners(n), corners(n)]} for n in (1, 2)]
-    path = tmp_path / "m.json"
-    path.write_text(json.dumps({"images": [{"id": 1, "width": 64, "height": 48}], "annotations": marks}))
-    check(open_masks(path))
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        ("{", "not JSON"),
-        ('{"annotations": 3}', "annotations"),
-        ('{"annotations": []}', "no masks"),
-        ('{"annotations": [{"image_id": 1, "segmentation": {"counts": [4, 2]}}]}', "how large"),
-        ('{"annotations": [{"image_id": 1, "segmentation": {"size": [48, 64], "counts": [4, 2]}}]}', "run lengths"),
-        ('{"annotations": [{"image_id": 1, "segmentation": {"size": [48, 64], "counts": "~~~"}}]}', "run lengths"),
-        ('{"annotations": [{"image_id": 1, "segmentation": {"size": [-1, 64], "counts": "0"}}]}', "64 x -1 px"),
-    ],
-)
-def test_spoilt_annotations_end_in_a_sentence(tmp_path, content, sentence):
-    path = tmp_path / "m.json"
-    path.write_text(content)
-    with pytest.raises(InputError, match=sentence):
-        open_masks(path).read(0)
 
 
 def drawn(camera, places, numbers):

@@ -1,14 +1,12 @@
 """2D key points of every program's layout: the same detections come back from each, and what is misread is refused."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
 from benchmarks.robustness.keypoint_layouts import (
     LAYOUTS,
-    NEED_H5PY,
     RATE,
     UNSCORED,
     detections,
@@ -23,7 +21,6 @@ from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoint
 from hypose.io.recordings.frames import FrameSettings, load_person, working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.scenes import camera_rig
-from tests import missing
 
 FRAMES = 14
 RIG = camera_rig("humaneva-4")
@@ -45,11 +42,6 @@ def loaded(folder):
 
 @pytest.mark.parametrize("layout", list(LAYOUTS))
 def test_the_same_detections_come_back(tmp_path, layout):
-    if layout in NEED_H5PY:
-        try:
-            import h5py  # noqa: F401
-        except ImportError:
-            missing.skip("h5py", "pip install hypose[h5]")
     kind = LAYOUTS[layout][0]
     points = detections(kind, RIG, FRAMES)
     points[1, 5] = 0  # nobody in one view and frame
@@ -91,29 +83,6 @@ def test_sets_of_one_length_are_told_apart_by_bones(tmp_path):
     other = written(tmp_path / "stated", "openpose", stated="BODY_25", keypoint_set="BODY_25B")[0]
     with pytest.raises(InputError, match=r"(?i)view.*the bones do not fit BODY_25 but BODY_25B"):
         load_recording(other)
-
-
-def test_standard_deviations_of_points_weigh_them(tmp_path):
-    """The ensemble Kalman smoother's columns beside DeepLabCut's: x_posterior_var before x_ens_var."""
-    names = keypoint_names("HALPE_26")
-    points = detections("HALPE_26", RIG, FRAMES)[0]
-    points[2, 4, 2] = 0.1  # hardly seen, whatever its variance says
-    sd = np.full((FRAMES, len(names)), 2.0)
-    sd[:, 3], sd[:, 5], sd[:, 7] = 1.0, 2.0 * np.sqrt(2), 20.0
-    labels = ["x", "y", "likelihood", "x_ens_var", "y_ens_var", "x_posterior_var", "y_posterior_var"]
-    spread = np.repeat(sd[..., None] ** 2, 2, -1)
-    rows = np.concatenate([points, np.full_like(spread, 9.0), spread], -1).reshape(FRAMES, -1)
-    lines = [",".join(["scorer", *["eks"] * rows.shape[1]])]
-    lines += [",".join(["bodyparts", *np.repeat(names, len(labels))]), ",".join(["coords", *labels * len(names)])]
-    lines += [",".join([str(t), *map(repr, row.tolist())]) for t, row in enumerate(rows)]
-    (tmp_path / "eks.csv").write_text("\n".join(lines) + "\n")
-    (view,), notes = keypoints_of_views([tmp_path / "eks.csv"], ["a"], ["a"])
-    assert view is not None and "weighed by the standard deviations that it gives" in notes[0]
-    scores = np.array([view.table.people[t][0, :, 2] for t in range(FRAMES)])
-    seen = points[..., 2] > 0.3
-    assert scores[2, 4] == 0.1 and (scores[seen] > 0.3).all()
-    for k, score in ((3, 1.0), (5, 0.5), (7, 0.31), (8, 1.0)):
-        np.testing.assert_allclose(scores[seen[:, k], k], score)
 
 
 def test_scores_beyond_one_are_scaled(tmp_path):
@@ -195,13 +164,6 @@ def test_another_set_or_order_of_points_is_refused(tmp_path, layout, stated, ord
     folder, _ = written(tmp_path, layout, detections(LAYOUTS[layout][0], RIG, FRAMES)[:, :, order], stated)
     with pytest.raises(InputError, match=message):
         load_recording(folder)
-
-
-def test_without_h5py_one_sentence(tmp_path, monkeypatch):
-    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(InputError, match=r"needs h5py, .*hypose\[h5\]"):
-        read_keypoints(tmp_path / "a.h5")
 
 
 def test_cameras_of_one_file_are_found_by_name(tmp_path):

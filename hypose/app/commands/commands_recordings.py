@@ -1,4 +1,4 @@
-"""`hypose init`, `demo`, `synth`, `depth-import`, `silhouettes`, `keypoints`, `correct`, `batch` and `warm-up`: make
+"""`hypose init`, `demo`, `synth`, `depth-import`, `silhouettes`, `keypoints`, `batch` and `warm-up`: make
 recordings, detect evidence in them, and track them in special ways.
 """
 
@@ -19,8 +19,8 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.io.files import claimed, natural_key, toml_lines, write_text
-from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
+from hypose.io.files import claimed, natural_key, toml_text, write_text
+from hypose.options import Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
 
@@ -55,13 +55,14 @@ def init(
         raise InputError(f"{folder} holds videos in several places ({places}); make a folder for each recording.")
     names = [source.name for source in find_sources([folder / v for v in videos])]
     calibration = folder / "calibration.toml"
-    lines = toml_lines({"name": folder.resolve().name, "calibration": calibration.name})
+    views = []
     for video, name in zip(videos, names, strict=True):
         room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
-        table = {"name": name, "video": video.as_posix(), "background": None if room is None else room.as_posix()}
-        lines += ["", "[[view]]", *toml_lines(table)]
+        shown = None if room is None else room.as_posix()
+        views.append({"name": name, "video": video.as_posix(), "background": shown})
         say(f"{name}: {video}" + ("" if room is None else f", empty room {room}"))
-    write_text(target, "\n".join(lines) + "\n")
+    head = {"name": folder.resolve().name, "calibration": calibration.name}
+    write_text(target, toml_text({**head, "view": views}))
     say(f"Written: {target}; names and empty rooms can be corrected there (docs/recordings.md).")
     if calibration.is_file():
         say(f"Next: hypose check {where}")
@@ -249,36 +250,6 @@ def demo(
     )
 
 
-def correct(
-    results: Annotated[Path, Option("Results folder of hypose track.", argument=True)],
-    clicks: Annotated[Path, Option("The corrected pose: starts/NAME.json, saved in hypose view.", argument=True)],
-    until: Annotated[
-        int | None, Option("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
-    ] = None,
-    out: Annotated[Path | None, Option("Results folder. [default: RESULTS-corrected]")] = None,
-    formats: Formats = "trc,c3d,bvh,glb,csv,mot",
-    threads: Threads = None,
-) -> None:
-    """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
-    from hypose.app.jobs.correct import corrected_motion, read_correction
-    from hypose.app.jobs.job import split_names
-    from hypose.app.reports.report_parts import require_found
-    from hypose.app.studio.view_bundle import find_recording
-    from hypose.io.motions.results import ResultsFolder
-
-    recording = find_recording(results)
-    if recording is None:
-        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
-    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
-    correction = read_correction(clicks)
-    with claimed(folder.path), Stages() as progress:
-        about = {"until": until, "formats": split_names(formats), "progress": progress}
-        motion = corrected_motion(recording, ResultsFolder(results), correction, folder, **about)
-    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
-    say(f"Results: {folder.path}")
-    require_found(motion, recording.name, folder.path)
-
-
 def warm_up_command(threads: Threads = None) -> None:
     """Compile what tracking, fusion and live tracking need, so that their first run begins at once; once per computer,
     and again after an update. At the end a third of a second of a synthetic person is tracked as a test.
@@ -328,8 +299,9 @@ def batch(
     """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""
     if scheduler is not None and (workers is not None or threads is not None):
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
-    from hypose.app.batch import finished_metrics, ordered_tasks, require_dask, run_batch, wanted, write_table
+    from hypose.app.batch import COLUMNS, finished_metrics, ordered_tasks, require_dask, run_batch, wanted
     from hypose.app.jobs.job import split_names
+    from hypose.app.reports.report_parts import write_csv
 
     if not dry_run:
         require_dask("distributed")  # before all files are read
@@ -347,7 +319,7 @@ def batch(
             with claimed(results):
                 many = {"workers": workers or os.cpu_count() or 1, "threads": threads, "scheduler": scheduler}
                 rows = [*run_batch(tasks, results, progress, **many), *rows]
-                write_table(rows, results)
+                write_csv(results / "results.csv", COLUMNS, ([row.get(name) for name in COLUMNS] for row in rows))
     states = [row["state"] for row in rows]
     for row in rows:
         if row["state"] == "failed":

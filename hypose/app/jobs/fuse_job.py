@@ -25,7 +25,7 @@ from hypose.app.commands.console import (
 from hypose.app.jobs.job import ASSESSMENT_FILE, print_assessments, print_figures, split_names
 from hypose.app.live.live_server import LiveServer, run_live
 from hypose.app.options import FuseCommand
-from hypose.app.reports.report_parts import require_found
+from hypose.app.reports.report_parts import require_found, write_csv
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -36,7 +36,7 @@ from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.files import check_writable, claimed, file_name, write_text
+from hypose.io.files import check_writable, claimed, file_name
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.sensors.skeleton_files import (
@@ -302,15 +302,8 @@ def _write(
     save_motion(motion, folder.motion)
     folder.write_json("provenance.json", record)
     folder.write_json(ASSESSMENT_FILE, assessment.document())
-    write_text(folder.file("sensors.csv"), sensors_csv(fused))
-    return motion
-
-
-def sensors_csv(fused: Fused) -> str:
-    """Build the table of each sensor's share in each joint: a row per frame, a column joint:sensor with its share (0 to
-    1).
-    """
-    header = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
+    # each sensor's share (0 to 1) in each joint
+    columns = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
     table = np.column_stack([fused.motion.times, fused.shares.reshape(len(fused.shares), -1)])
-    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in table.tolist()]
-    return "\n".join([",".join(header), *lines]) + "\n"
+    write_csv(folder.file("sensors.csv"), columns, table.round(4).tolist())
+    return motion

@@ -36,12 +36,12 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, write_text
+from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, toml_text, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
     Recording,
+    changed_settings,
     load_recording,
-    silhouette_lines,
     silhouette_options,
     write_recording,
 )
@@ -78,23 +78,24 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
     tables = _BEFORE_TABLE.split(before)
-    if what == "use_refined":
-        if (refined := newest_refined_calibration(folder)) is None:
-            raise InputError("There is no refined calibration yet; refine it first.")
-        # it is in metres with z up
-        tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
-    elif what == "take_back":
-        tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
-    elif what == "keypoint_pixels":
-        tables[0] = _set(tables[0], keypoint_pixels="image")
-    elif what == "height":
-        metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
-        tables[0] = _set(tables[0], subject_height=metres)
-    elif what == "keypoint_lag":
-        frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
-        tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
-    else:
-        _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
+    match what:
+        case "use_refined":
+            if (refined := newest_refined_calibration(folder)) is None:
+                raise InputError("There is no refined calibration yet; refine it first.")
+            # it is in metres with z up
+            tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
+        case "take_back":
+            tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
+        case "keypoint_pixels":
+            tables[0] = _set(tables[0], keypoint_pixels="image")
+        case "height":
+            metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
+            tables[0] = _set(tables[0], subject_height=metres)
+        case "keypoint_lag":
+            frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
+            tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
+        case _:
+            _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
     write_text(path, "".join(tables))
     if what not in ("height", "board"):
         try:
@@ -300,7 +301,9 @@ class Recordings:
         read_toml(path)
         tables = _BEFORE_TABLE.split(read_text(path, "a recording.toml"))
         kept = "".join(table for table in tables if _header(table) != "[silhouettes]")
-        write_text(path, "\n".join([kept.rstrip("\n"), *silhouette_lines(options)]) + "\n")
+        changed = changed_settings(options)
+        added = [toml_text({"silhouettes": changed})] if changed else []
+        write_text(path, "\n".join([kept.rstrip("\n") + "\n", *added]))
         return asdict(options)
 
     def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> OpenRecording:
@@ -381,7 +384,7 @@ _MOST_LISTED, _DEPTH = 60, 3
 _SERIES = 3
 """Number of pictures or key-point files in a folder from which they count as the frames of one camera."""
 _CALIBRATION_ENDINGS = (".toml", ".yml", ".yaml", ".xml")
-_TABLE_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy", ".npz", ".txt", ".pickle")
+_TABLE_ENDINGS = (".json", ".csv", ".npy", ".npz", ".txt", ".pickle")
 _LARGEST_CALIBRATION = 20 << 20
 _PICTURE_PX = 320
 _SETTINGS = ("calibration_unit", "world_up", "frame_rate", "subject_height")
@@ -442,7 +445,7 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     calibration = text(CALIBRATION if calibration is None else calibration, "calibration", 1000, "choose one")
     said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
     head = {"name": text(wanted.get("name"), "name", 80, "give one"), "calibration": calibration, **said}
-    lines = toml_lines(head)
+    tables = []
     for view, camera in zip(views, cameras, strict=True):
         table = {"name": text(view.get("name"), "name of a view", 200, "give one"), "camera": camera}
         table |= {"accept_scaled": True} if view.get("accept_scaled") is True else {}
@@ -450,8 +453,8 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
             path = _placed(catalog, folder, view, role)
             key = "images" if role == "video" and path.is_dir() else role
             table[key] = path.relative_to(folder).as_posix()
-        lines += ["", "[[view]]", *toml_lines(table)]
-    write_text(target, "\n".join(lines) + "\n")
+        tables.append(table)
+    write_text(target, toml_text({**head, "view": tables}))
     try:
         if wanted.get("calibration") is not None:
             catalog.inside(calibration, folder)

@@ -5,7 +5,7 @@ one for each camera of the file. New points need a set in `hypose.evidence.keypo
 
 Sources of the CSV layouts (those of the others are above their readers):
 DeepLabCut: CSV of analysed videos, with three header lines scorer, bodyparts, coords; four with individuals.
-Ensemble Kalman smoother (eks): the same layout with x_ens_var, x_posterior_var and so on next to x, y, likelihood.
+    Lightning Pose writes the same layout; its columns of variances are not used.
 SLEAP: analysis CSV with track, frame_idx, instance.score, then node.x, node.y, node.score.
 Caliscope: xy_<tracker>.csv with sync_index, cam_id (port in old files), frame_index, frame_time, point_id (keypoint_id
     in new files), img_loc_x, img_loc_y, ...; one row per detected point, in pixels of the camera's picture, without
@@ -18,7 +18,6 @@ import itertools
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,19 +25,18 @@ from typing import Any
 
 import numpy as np
 
-from hypose.errors import InputError, extra, refuse
+from hypose.errors import InputError, refuse
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_formats import read_plain_pickle
 from hypose.io.files import (
     csv_rows,
+    distinct_numbers,
     last_number,
     numbers_of,
     open_file,
     read_bytes,
     read_json,
     read_text,
-    readable_size,
 )
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
@@ -51,9 +49,6 @@ from hypose.json_text import parse_json
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
 MAX_POINT_FRAMES = 5_000_000
-# Score below which tracking ignores a point.
-_MIN_SCORE = 0.3
-WEIGHED = 0.31
 _SAMPLED = 60
 
 
@@ -69,7 +64,6 @@ class KeypointTable:
     names: names of the K points, where the file gives them.
     shares: positions are shares of the picture's width and height, not px.
     scored: the file has scores.
-    spread: the scores come from standard deviations in the file (`scores_from_variance`).
     frame_rate: frames/s, where the file gives it.
     timed: frames are numbered as `VideoReader` counts them when it reads by time stamps.
     """
@@ -80,7 +74,6 @@ class KeypointTable:
     names: tuple[str, ...] | None = None
     shares: bool = False
     scored: bool = True
-    spread: bool = False
     frame_rate: float | None = None
     timed: bool = False
 
@@ -142,27 +135,6 @@ def parse_openpose(document: str | bytes | Mapping[str, Any], source: str = "The
     return checked_people([p for p in people.values() if len(p)], source)
 
 
-def scores_from_variance(points: Array, variance: Array) -> Array:
-    """Replace the scores of points by weights from their variances.
-
-    The weight is 1 for points at least as certain as the median point. For others it is the ratio of the median
-    variance to their own, but at least `WEIGHED`, which distinguishes them from missing points. Points without a
-    variance keep their scores.
-
-    points: (..., 3) u, v, score.
-    variance: (..., 2) of u and v, px^2.
-    Returns: (..., 3).
-    """
-    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > _MIN_SCORE)
-    if not given.any():
-        return points
-    spread = variance.mean(-1)
-    share = np.clip(np.median(spread[given]) / np.where(given, spread, 1.0), WEIGHED, 1.0)
-    out = points.copy()
-    out[..., 2] = np.where(given, share, points[..., 2])
-    return out
-
-
 def scored_points(positions: Any, scores: Any = None) -> Array:
     """Combine positions and scores of key points.
 
@@ -201,37 +173,6 @@ def whole_number(value: Any) -> int:
     return int(value)
 
 
-# Columns of variances, px^2, by the ensemble Kalman smoother of Lightning Pose; the better ones first.
-_VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
-
-
-def deeplabcut_table(
-    columns: Sequence[tuple[str, ...]], numbers: Sequence[int], values: Array, where: str
-) -> KeypointTable:
-    """Build the table of key points from DeepLabCut's columns.
-
-    columns: individual ("" where there is one), body part and coordinate (x, y, likelihood, ...) of each column.
-    numbers: (T,) number of each frame.
-    values: (T, columns) px and likelihoods.
-    where: file, for messages.
-    Points that are no parts of an individual are left out. Where all points have variances, they weigh the points.
-    """
-    parts: dict[str, dict[str, dict[str, int]]] = {}
-    for i, (individual, part, coordinate) in enumerate(columns):
-        parts.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
-    names = tuple(max(parts.values(), key=len))
-    people = [own for own in parts.values() if own.keys() == set(names)]  # not the single points
-    found = [set(at) for own in parts.values() for at in own.values()]
-    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in found)), ())
-    wanted = ("x", "y", "likelihood", *variances)
-    with numbers_of(f"{where}: a body part"):
-        chosen = np.array([[[own[n][c] for c in wanted] for n in names] for own in people])
-    whole = values[:, chosen].reshape(-1, *chosen.shape[1:])  # (T times people, K, 3 or 5)
-    points = scores_from_variance(whole[..., :3], whole[..., 3:]) if variances else whole
-    by_frame = grouped(np.repeat(numbers, len(people)).tolist(), points, where)
-    return KeypointTable("DeepLabCut", by_frame, min(by_frame), names, spread=bool(variances))
-
-
 def _deeplabcut(source: Source) -> KeypointTable:
     first, rows = csv_rows(source.path, source.kind, MAX_BYTES)
     head = {"individuals": [""] * (len(first) - 1)}
@@ -242,9 +183,17 @@ def _deeplabcut(source: Source) -> KeypointTable:
             continue
         with numbers_of(f"{source.path}, line {line}"):
             values.append([float(c or "nan") for c in row])
-    columns = list(zip(head["individuals"], head["bodyparts"], head["coords"], strict=True))
+    parts: dict[str, dict[str, dict[str, int]]] = {}
+    for i, (who, part, what) in enumerate(zip(head["individuals"], head["bodyparts"], head["coords"], strict=True), 1):
+        parts.setdefault(who, {}).setdefault(part, {})[what] = i
+    names = tuple(max(parts.values(), key=len))
+    people = [own for own in parts.values() if own.keys() == set(names)]  # not the single points
+    with numbers_of(f"{source.path}: a body part"):
+        chosen = [[[own[n][c] for c in ("x", "y", "likelihood")] for n in names] for own in people]
     table = np.array(values)
-    return deeplabcut_table(columns, table[:, 0].tolist(), table[:, 1:], str(source.path))
+    points = table[:, np.array(chosen)].reshape(-1, len(names), 3)
+    by_frame = grouped(np.repeat(table[:, 0], len(people)).tolist(), points, str(source.path))
+    return KeypointTable("DeepLabCut", by_frame, min(by_frame), names)
 
 
 def _rows_of(path: Path, kind: str, columns: Sequence[str]) -> Array:
@@ -276,19 +225,22 @@ def _caliscope(source: Source) -> dict[str, KeypointTable]:
     values = _rows_of(path, source.kind, [camera, "sync_index", point, "img_loc_x", "img_loc_y"])
     if not len(values):
         raise InputError(f"{where} holds no points; run the tracker again.")
-    seen: dict[int, dict[int, dict[int, tuple[float, float, float]]]] = {}
-    for *numbers, x, y in values.tolist():
-        name, number, identity = map(whole_number, numbers)
-        seen.setdefault(name, {}).setdefault(number, {})[identity] = (x, y, 1.0)
-    order = _point_order(path.stem.lower(), set(values[:, 2].astype(int).tolist()))
+    cameras, frames, ids = ([whole_number(v) for v in column] for column in values[:, :3].T.tolist())
+    order = {identity: k for k, identity in enumerate(_point_order(path.stem.lower(), set(ids)))}
+    seen: dict[int, dict[int, Array]] = {}
+    for name, number, identity, place in zip(cameras, frames, ids, values[:, 3:], strict=True):
+        points = seen.setdefault(name, {}).setdefault(number, np.zeros((len(order), 3)))
+        if identity in order:
+            points[order[identity]] = *place, 1.0
     numbers, rate = _clock(path)
-    first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
-    out = {}
-    for name, frames in sorted(seen.items()):
-        people = grouped(frames, [[points.get(i, (0, 0, 0)) for i in order] for points in frames.values()], where)
-        names = BLAZEPOSE_33 if len(order) == 33 else None
-        out[str(name)] = KeypointTable("Caliscope points", people, first, names, scored=False, frame_rate=rate)
-    return out
+    first = _first_frame(frames, numbers, where)
+    names = BLAZEPOSE_33 if len(order) == 33 else None
+    return {
+        str(name): KeypointTable(
+            "Caliscope points", grouped(of, list(of.values()), where), first, names, scored=False, frame_rate=rate
+        )
+        for name, of in sorted(seen.items())
+    }
 
 
 def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
@@ -506,10 +458,8 @@ def numbered_files(paths: list[Path]) -> dict[int, Path]:
     Returns: files by frame number.
     """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
-    numbers = [last_number(p.stem) for p in paths]
-    if None in numbers or len(set(numbers)) < len(numbers):
-        return dict(enumerate(paths))
-    return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
+    numbers = distinct_numbers(paths)
+    return dict(enumerate(paths) if numbers is None else zip(numbers, paths, strict=True))
 
 
 def _easymocap(source: Source) -> KeypointTable:
@@ -560,12 +510,11 @@ def _labelled_people(path: Path, count: int, per_point: int) -> Array:
 
 
 # ---- keypoint arrays -----------------------------------------------------------------------------------------------
-# Key points as arrays: FreeMoCap's npy, HDF5 of DeepLabCut and SLEAP.
+# Key points as arrays: FreeMoCap's npy.
 #
-# Sources: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
+# Source: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
 # or 3), the body's 33 BlazePose points first, NaN where nothing was found, cameras in the order of their videos'
-# names); DeepLabCut's analysed video (pandas, df_with_missing, format table or fixed); SLEAP's analysis export
-# (info/write_tracking_h5.py: tracks (tracks, 2, nodes, frames), transposed for MATLAB, node_names, point_scores).
+# names).
 
 
 def _freemocap(source: Source) -> dict[str, KeypointTable]:
@@ -581,84 +530,6 @@ def _freemocap(source: Source) -> dict[str, KeypointTable]:
     body = scored_points(data[:, :, : 33 if shape[2] >= 33 else None])  # MediaPipe's hands and face come after the body
     found = {str(c): grouped(range(shape[1]), frames, str(path)) for c, frames in enumerate(body)}
     return {name: KeypointTable("FreeMoCap", people, 0, scored=False) for name, people in found.items()}
-
-
-@contextmanager
-def _h5(source: Source) -> Iterator[Any]:
-    """Open an HDF5 file within a with block; errors of the library become an InputError."""
-    readable_size(source.path, source.kind, MAX_BYTES)
-    h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
-    with numbers_of(f"{source.path}, read as HDF5,"), h5py.File(source.path, "r") as file:
-        yield file
-
-
-def _h5_holds(source: Source, wanted: Callable[[Any], Any]) -> bool:
-    """Test whether an HDF5 file fulfils a condition; wanted: function of the opened file."""
-    with _h5(source) as file:
-        return bool(wanted(file))
-
-
-def _deeplabcut_group(file: Any) -> str | None:
-    """Find the name of DeepLabCut's table in an HDF5 file."""
-    return next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
-
-
-def _sized(dataset: Any, where: str) -> Any:
-    """Read a dataset after checking its size, because a compressed file can unpack to any size."""
-    if dataset.size * dataset.dtype.itemsize > 4 * MAX_BYTES:
-        raise InputError(f"{where}: {dataset.name} unpacks to more than 2 GiB; cut the recording into pieces.")
-    return dataset[()]
-
-
-def _fitted(array: Array, shape: tuple[int | None, ...], where: str) -> Array:
-    """Transpose an array where that gives it the shape, in which None stands for any number; InputError otherwise."""
-    for found in (array, array.T):
-        if found.ndim == len(shape) and all(b in (None, a) for a, b in zip(found.shape, shape, strict=True)):
-            return found
-    raise InputError(f"{where}: an array of shape {array.shape} does not belong to the nodes; export it again.")
-
-
-def _sleap_h5(source: Source) -> KeypointTable:
-    where = str(source.path)
-    with _h5(source) as file:
-        names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
-        tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
-        scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
-    tracks = _fitted(tracks, (None, 2, len(names), None), where).transpose(3, 0, 2, 1)
-    frames, people = tracks.shape[:2]
-    if scores is not None and not np.isfinite(scores).any():  # people were marked by hand
-        scores = None
-    if scores is not None:
-        scores = _fitted(scores, (people, len(names), frames), where).transpose(2, 0, 1)
-    points = scored_points(tracks, scores).reshape(-1, len(names), 3)
-    found = grouped(np.repeat(range(frames), people).tolist(), points, where)
-    return KeypointTable("SLEAP analysis", found, 0, names, scored=scores is not None)
-
-
-def _deeplabcut_h5(source: Source) -> KeypointTable:
-    """Read the table that pandas stored, in its format "table" or "fixed"."""
-    where = str(source.path)
-    with _h5(source) as file:
-        group = file[_deeplabcut_group(file)]
-        if "table" in group:
-            table = _sized(group["table"], where)
-            block = next(n for n in table.dtype.names if n.startswith("values_block"))
-            values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
-            raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are read
-            columns = read_plain_pickle(bytes(raw))[0][1]
-        else:
-            values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)
-            numbers = _sized(group["axis1"], where)
-            levels = sorted(k for k in group if k.startswith("block0_items_level"))
-            labels = sorted(k for k in group if k.startswith(("block0_items_label", "block0_items_code")))
-            words = [[w.decode(errors="replace") for w in _sized(group[k], where).tolist()] for k in levels]
-            found = ([w[i] for i in _sized(group[k], where)] for w, k in zip(words, labels, strict=True))
-            columns = list(zip(*found, strict=True))
-    wide = [tuple(str(c) for c in column) for column in columns]
-    if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
-        raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")
-    named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
-    return deeplabcut_table(named, np.asarray(numbers).tolist(), values, where)
 
 
 KEYPOINTS = FormatTable(
@@ -693,13 +564,6 @@ KEYPOINTS = FormatTable(
         Format("Caliscope", (".csv",), _caliscope, lambda source: "sync_index" in source.header),
         Format("SLEAP", (".csv",), _sleap, lambda source: "frame_idx" in source.header),
         Format("FreeMoCap", (".npy",), _freemocap),
-        Format(
-            "SLEAP",
-            (".h5", ".hdf5"),
-            _sleap_h5,
-            lambda source: _h5_holds(source, lambda file: "tracks" in file and "node_names" in file),
-        ),
-        Format("DeepLabCut", (".h5", ".hdf5"), _deeplabcut_h5, lambda source: _h5_holds(source, _deeplabcut_group)),
     ),
     read_document,
 )

@@ -236,8 +236,6 @@ def _described(view: ViewKeypoints, how: str) -> str:
     parts = [f"{table.layout}, {view.keypoint_set} ({how})"]
     if not table.scored:
         parts.append("without scores, so all count alike")
-    elif table.spread:
-        parts.append("weighed by the standard deviations that it gives")
     elif view.score_scale != 1:
         parts.append(f"scores divided by {view.score_scale:.3g}, since they exceed 1")
     else:

@@ -1,11 +1,10 @@
-"""Masks of several objects: palette images, label images, one folder per object, COCO annotations.
+"""Masks of several objects: palette images, label images, one folder per object.
 
 | given as `masks` of a view | an object is |
 | --- | --- |
 | images with a palette, of two or more indices | an index, 0 is the background |
 | grey images (8 or 16 bit) with a few values | a value, 0 is the background |
 | a folder that holds folders of masks | a folder, by its name |
-| a COCO or YouTube-VIS .json with run lengths or polygons | track_id, object_id or instance_id, else id |
 
 `hypose.evidence.association` finds the objects of different views that are the same person.
 """
@@ -19,14 +18,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import as_mask
 from hypose.geometry import Mask
-from hypose.io.files import MAX_TEXT_BYTES, last_number, natural_key, numbers_of, read_json
+from hypose.io.files import distinct_numbers, natural_key
 from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,
@@ -45,7 +43,6 @@ SIDECAR = "hypose-masks.json"
 """Name of the note in a folder of masks that are already undistorted; their files are found by frame number."""
 _LOOKED_AT = 9  # number of images that identify the kind of masks
 _MOST_OBJECTS = 32  # objects
-_COCO_IDS = ("track_id", "object_id", "instance_id", "id")  # keys of an object's number; the first that is there counts
 Objects = Mapping[str, Mask]
 """Mask (h, w) of 0 and 1 of each object that is present, by the object's name."""
 
@@ -122,8 +119,6 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
     first: number of the first frame's files, for one folder per object; None for the lowest number.
     Raises: InputError where the path does not hold masks.
     """
-    if path.is_file() and path.suffix.lower() == ".json":
-        return _of_coco(path)
     if path.is_dir() and not (path / SIDECAR).is_file():
         images = list_images(path)
         inside = [p for p in sorted(path.iterdir(), key=lambda p: natural_key(p.name)) if p.is_dir() and list_images(p)]
@@ -144,17 +139,15 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
     first: number of the first frame's files; None for the lowest number.
     """
     listed = {p.name: list_images(p) for p in folders}
-    numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
-    known = [n for found in numbers.values() for n in found]
-    by_frame: dict[str, dict[int, Path]]
-    if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
-        by_frame, first = {name: dict(enumerate(files)) for name, files in listed.items()}, None
+    numbers = [distinct_numbers(files) or [] for files in listed.values()]
+    if all(numbers):
+        first = min(map(min, numbers)) if first is None else first
     else:
-        first = min([n for n in known if n is not None] if first is None else [first])
-        by_frame = {
-            name: {n - first: f for n, f in zip(numbers[name], files, strict=True) if n is not None}
-            for name, files in listed.items()
-        }
+        first, numbers = None, [list(range(len(files))) for files in listed.values()]
+    by_frame = {
+        name: {n - (first or 0): file for n, file in zip(own, files, strict=True)}
+        for (name, files), own in zip(listed.items(), numbers, strict=True)
+    }
     size = frame_size(folders[0])
 
     def load(frame: int) -> Objects:
@@ -233,91 +226,3 @@ def _without_palette(data: bytes) -> bytes:
     colours = (b"IHDR", b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT")
     rest = [chunk for kind, chunk in png_chunks(data) if kind not in colours]
     return b"".join([PNG_SIGNATURE, struct.pack(">I", 13), header, struct.pack(">I", zlib.crc32(header)), *rest])
-
-
-def _of_coco(path: Path) -> ObjectMasks:
-    """Open COCO annotations, which are per image, or those of YouTube-VIS, which are per object."""
-    document = read_json(path, "COCO annotations", MAX_TEXT_BYTES)
-    marks = document.get("annotations") if isinstance(document, Mapping) else document
-    if not isinstance(marks, list) or not all(isinstance(m, Mapping) for m in marks):
-        raise InputError(f'{path} is no COCO file: it needs a list "annotations"; export the masks again.')
-    images = document.get("images", []) if isinstance(document, Mapping) else []
-    order = sorted(
-        (i for i in images if isinstance(i, Mapping) and "id" in i),
-        key=lambda i: (natural_key(str(i.get("file_name", ""))), i["id"]),
-    )
-    frame_of = {i["id"]: t for t, i in enumerate(order)}
-    if not frame_of:
-        frame_of = {i: t for t, i in enumerate(sorted({m["image_id"] for m in marks if "image_id" in m}))}
-    frames: dict[int, list[tuple[str, Any]]] = {}
-    names: dict[str, None] = {}
-    for n, mark in enumerate(marks):
-        name = str(next((mark[k] for k in _COCO_IDS if mark.get(k) is not None), n))
-        one = [(frame_of.get(mark.get("image_id")), mark.get("segmentation"))]
-        parts = mark.get("segmentations")  # one per frame
-        for t, piece in enumerate(parts) if isinstance(parts, list) else one:
-            if piece and t is not None:
-                frames.setdefault(int(t), []).append((name, piece))
-                names[name] = None
-    if not frames:
-        raise InputError(f"{path} holds no masks (segmentation, segmentations); export them with the file.")
-    size = _coco_size(path, order, frames)
-
-    def load(frame: int) -> Objects:
-        out: dict[str, Mask] = {}
-        for name, piece in frames.get(frame, ()):
-            mask = _coco_mask(path, piece, size)
-            out[name] = out[name] | mask if name in out else mask
-        return out
-
-    count = max(len(order), 1 + max(frames))
-    if len(names) > 4 * _MOST_OBJECTS:
-        raise InputError(
-            f"{path} gives every mask its own id, so that no person can be followed; export track_id with the masks."
-        )
-    return ObjectMasks(path, size, count, tuple(names), load)
-
-
-def _coco_size(path: Path, images: list[Any], frames: Mapping[int, list[tuple[str, Any]]]) -> tuple[int, int]:
-    piece = next(p for found in frames.values() for _, p in found)
-    with numbers_of(f"{path}: the entry of how large its pictures are"):
-        h, w = piece["size"] if isinstance(piece, Mapping) else (images[0]["height"], images[0]["width"])
-        if not (isinstance(w, int) and isinstance(h, int) and 0 < w < 20_000 and 0 < h < 20_000):
-            raise ValueError(f"{w} x {h} px")
-    return w, h
-
-
-def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
-    """Draw a mask (h, w) of 0 and 1 from COCO's polygons or run lengths (column by column, beginning with 0).
-
-    path: for the error message.
-    piece: the annotation's segmentation.
-    size: width and height, px.
-    """
-    w, h = size
-    with numbers_of(f"{path}: a mask"):
-        if isinstance(piece, list):
-            mask = np.zeros((h, w), dtype=np.uint8)
-            corners = [np.rint(np.array(p, dtype=np.float64).reshape(-1, 2)).astype(np.int32) for p in piece]
-            return np.asarray(cv2.fillPoly(mask, corners, 1), dtype=np.uint8)
-        counts = piece["counts"]
-        runs = np.array(_run_lengths(counts) if isinstance(counts, str) else counts, dtype=np.int64)
-        if list(piece["size"]) != [h, w] or runs.sum() != w * h or (runs < 0).any():
-            raise ValueError("its run lengths do not fill its picture")
-        return np.repeat(np.arange(len(runs)) % 2, runs).astype(np.uint8).reshape(w, h).T.copy()
-
-
-def _run_lengths(text: str) -> list[int]:
-    """Decode COCO's run lengths from text: groups of five bits; from the fourth number on, each is a difference from
-    the number two before it.
-    """
-    out: list[int] = []
-    value = shift = 0
-    for code in (ord(c) - 48 for c in text):
-        value |= (code & 0x1F) << shift
-        shift += 5
-        if not code & 0x20:  # the last group of a number; its bit 16 is the sign
-            signed = value - (1 << shift) if code & 0x10 else value
-            out.append(signed + (out[-2] if len(out) > 2 else 0))
-            value = shift = 0
-    return out
