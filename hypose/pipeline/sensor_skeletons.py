@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ from hypose.fusion.align import offset_by_movement
 from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
@@ -88,7 +88,7 @@ def fuse_mixture(
     options: TrackOptions,
     *,
     progress: StageProgress | None = None,
-    results: ResultsFolder | None = None,
+    results: Path | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> TrackResult:
     """Track a person from cameras and skeletons in one solve.

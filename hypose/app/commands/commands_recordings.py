@@ -265,19 +265,18 @@ def correct(
     from hypose.app.jobs.job import split_names
     from hypose.app.reports.report_parts import require_found
     from hypose.app.studio.view_bundle import find_recording
-    from hypose.io.motions.results import ResultsFolder
 
     recording = find_recording(results)
     if recording is None:
         raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
-    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
+    folder = out or results.with_name(f"{results.name}-corrected")
     correction = read_correction(clicks)
-    with claimed(folder.path), Stages() as progress:
+    with claimed(folder), Stages() as progress:
         about = {"until": until, "formats": split_names(formats), "progress": progress}
-        motion = corrected_motion(recording, ResultsFolder(results), correction, folder, **about)
+        motion = corrected_motion(recording, results, correction, folder, **about)
     say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
-    say(f"Results: {folder.path}")
-    require_found(motion, recording.name, folder.path)
+    say(f"Results: {folder}")
+    require_found(motion, recording.name, folder)
 
 
 def warm_up_command(threads: Threads = None) -> None:

@@ -26,7 +26,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_body, load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.assessment import later, list_changes, trace_of, with_trace
@@ -80,9 +80,9 @@ def read_correction(path: Path) -> Correction:
 
 def corrected_motion(
     recording: Recording,
-    old: ResultsFolder,
+    old: Path,
     correction: Correction,
-    out: ResultsFolder,
+    out: Path,
     *,
     until: int | None = None,
     formats: tuple[str, ...] = (),
@@ -98,18 +98,18 @@ def corrected_motion(
     formats: motion files to write.
     Raises: InputError where the correction does not fit the result.
     """
-    motion, body = load_motion(old.motion), load_body(old.file("body.npz"))
+    motion, body = load_motion(old / "motion.npz"), load_body(old / "body.npz")
     options, first = _options(motion, old)
     start, row, stop = _rows(motion, correction, first, correction.until if until is None else until)
     if len(correction.pose) != body.skeleton.dof:
-        raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old.path} itself.")
-    if out.path.resolve() == old.path.resolve():
+        raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old} itself.")
+    if out.resolve() == old.resolve():
         raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
     known_formats(formats)
-    check_writable(out.path)
+    check_writable(out)
     compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
-    record |= {"clicks": correction.name, "of": old.path.name}
+    record |= {"clicks": correction.name, "of": old.name}
     # the corrected pose also defines left and right
     sure, joined = replace(options, sure_start=True), motion
 
@@ -125,11 +125,11 @@ def corrected_motion(
         record["since"] = first + start
         joined = join(joined, tracked(range(first + start, first + row + 1), True), start, None)
     joined = join(joined, tracked(range(first + row, first + stop), False), row, record)
-    TrackResult(joined, body, True, ()).save(out.path)
+    TrackResult(joined, body, True, ()).save(out)
     for name in each(progress, "export", formats):
-        export_motion(joined, body, out.path, (name,))
-    for path in each(progress, "report", [out.file("report.html")]):
-        write_report(path, load_view(out.path, recording))
+        export_motion(joined, body, out, (name,))
+    for path in each(progress, "report", [out / "report.html"]):
+        write_report(path, load_view(out, recording))
     return joined
 
 
@@ -200,7 +200,7 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
     return with_trace(joined, [*trace_of(old), *later(trace_of(new), row), *corrected])
 
 
-def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
+def _options(motion: Motion, old: Path) -> tuple[TrackOptions, int]:
     """Read how a result was tracked.
 
     old: its folder, for the error.
@@ -213,7 +213,7 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
     options = TrackOptions(**{k: v for k, v in settings.items() if k in known})
     if motion.poses is None or not frames or "recipe" not in settings or options.of_picture:
         raise InputError(
-            f"{old.path} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
+            f"{old} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
             "corrected frame; with one camera start it again: hypose track --recipe monocular --start CLICKS."
         )
     return options, int(frames[0])

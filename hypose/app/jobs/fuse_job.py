@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -38,7 +39,7 @@ from hypose.fusion.register import Registration, check_same_person, common_joint
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, claimed, file_name, write_text
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
+from hypose.io.motions.results import provenance, results_folder, save_motion, to_json, write_json
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.skeleton_files import (
     SensorStream,
@@ -77,28 +78,28 @@ def fuse(c: FuseCommand) -> None:
                 "out."
             )
         filmed = load_recording(c.cameras)
-        out = c.out or ResultsFolder.of(filmed.folder, "fuse-cameras").path
+        out = c.out or results_folder(filmed.folder, "fuse-cameras")
         how = TrackCommand(recording=c.cameras, seed=c.seed, formats=c.formats, out=out, threads=c.threads)
         track_shown(replace(job_of(how, filmed), skeletons=loaded))
         return
     folder = c.recording if c.recording.is_dir() else c.recording.parent
     name = f"fuse-{c.method}" if c.recording.is_dir() else f"{file_name(loaded.name)}-fuse-{c.method}"
-    results = ResultsFolder(c.out) if c.out is not None else ResultsFolder.of(folder, name)
-    kept = f"Stopped; motions that were complete are kept in {results.path}. Start again with the same command."
-    with stopping(kept), claimed(results.path), Stages() as progress:
+    results = results_folder(folder, name) if c.out is None else c.out
+    kept = f"Stopped; motions that were complete are kept in {results}. Start again with the same command."
+    with stopping(kept), claimed(results), Stages() as progress:
         people, notes = run_fuse(loaded, results, c, progress)
     print_notes(notes)
     for n, (m, _) in enumerate(people, 1):
         name = f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}"
         print_figures(name, m, f"of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz")
-    say(f"Results: {results.path}")
+    say(f"Results: {results}")
     if all(m.lost.all() for m, _ in people):
-        require_found(people[0][0], loaded.name, results.path)
+        require_found(people[0][0], loaded.name, results)
     print_assessments({f"person-{n}" if len(people) > 1 else "": a for n, (_, a) in enumerate(people, 1)})
 
 
 def run_fuse(
-    recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
+    recording: SkeletonRecording, results: Path, c: FuseCommand, progress: ProgressCall = ignore
 ) -> tuple[list[tuple[Motion, Assessment]], list[str]]:
     """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
@@ -116,7 +117,7 @@ def run_fuse(
         raise InputError(
             f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
         )
-    check_writable(results.path)
+    check_writable(results)
     notes = list(recording.notes)
     progress("prepare", 0, 1)
     streams = _ordered(recording, c)
@@ -134,7 +135,7 @@ def run_fuse(
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
-        folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
+        folders = [results / f"person-{n + 1}" for n in range(len(people))]
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     for n, whole in enumerate(people):
@@ -150,7 +151,7 @@ def run_fuse(
         assessment = assess_fused(made.motion, clip, registration, names)
         done.append((_write(recording, c, made, world, folders[n], notes, assessment), assessment))
         # only formats with poses use the body, and those were refused above
-        export_motion(done[-1][0], cast(Body, None), folders[n].path, formats)
+        export_motion(done[-1][0], cast(Body, None), folders[n], formats)
     progress("fuse", total, total)
     return done, notes
 
@@ -289,7 +290,7 @@ def _write(
     c: FuseCommand,
     fused: Fused,
     world: Array,
-    folder: ResultsFolder,
+    folder: Path,
     notes: Sequence[str],
     assessment: Assessment,
 ) -> Motion:
@@ -311,10 +312,10 @@ def _write(
     }
     record = provenance(f"fusion-{c.method}", c.seed, settings, recording.inputs, {"threads": c.threads})
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
-    save_motion(motion, folder.motion)
-    folder.write_json("provenance.json", record)
-    folder.write_json(ASSESSMENT_FILE, assessment.document())
-    write_text(folder.file("sensors.csv"), sensors_csv(fused))
+    save_motion(motion, folder / "motion.npz")
+    write_json(folder / "provenance.json", record)
+    write_json(folder / ASSESSMENT_FILE, assessment.document())
+    write_text(folder / "sensors.csv", sensors_csv(fused))
     return motion
 
 

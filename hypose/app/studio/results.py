@@ -17,7 +17,7 @@ from hypose.app.studio.pictures import OpenRecording
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, body_of_result, first_frame, load_view, quality_of, view_bundle
 from hypose.errors import HyposeError
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, load_motion
+from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
@@ -125,7 +125,7 @@ class Results:
         """
         with self._one, contextlib.suppress(HyposeError):
             motion = load_motion(item.path / "motion.npz")
-            if (body := body_of_result(ResultsFolder(item.path), motion)) is not None:
+            if (body := body_of_result(item.path, motion)) is not None:
                 found = gait_of(motion, body)
                 return {
                     "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
