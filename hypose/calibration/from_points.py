@@ -83,7 +83,8 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     refuse(f"{path}: ", faults)
     points = {n: UNITS[unit] * v for n, v in _vectors(path, "points", document.get("points"), 3).items()}
     clicks, sizes = {}, {}
-    for camera, table in dict(tables).items():
+    assert isinstance(tables, dict)  # or the faults would have ended this
+    for camera, table in tables.items():
         entries = dict(table) if isinstance(table, dict) else {}
         size = entries.pop("size", None)
         if size is not None:
