@@ -28,7 +28,6 @@ from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import common_joints, register
 from hypose.geometry import Array, transform
 from hypose.io.files import csv_rows
-from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
@@ -164,7 +163,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     header, rows = csv_rows(file, "a CSV of KinectMultiTrack")
     hard = bool({cells[header.index("Scenario_Id")] for _, cells in rows} & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
-        people, *_ = run_fuse(read_skeletons(file), ResultsFolder(Path(folder)), FuseCommand(formats="csv"))
+        people, *_ = run_fuse(read_skeletons(file), Path(folder), FuseCommand(formats="csv"))
     words = [assessment.word for _, assessment in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))

@@ -30,7 +30,7 @@ from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.files import check_writable, file_name, read_json, text_lines
-from hypose.io.motions.results import provenance_identity, to_json
+from hypose.io.motions.results import provenance_identity, to_json, write_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
 from hypose.pipeline.comparison import compare_with_truth
@@ -261,7 +261,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         "track_s": stages.seconds.get("track"),
         "notes": list(outcome.notes),
     }
-    job.results.write_json("task.json", figures)
+    write_json(job.results / "task.json", figures)
     return figures
 
 

@@ -170,6 +170,7 @@ def visual_hull(
                     f"The masks fill too much space for {voxel:g} m voxels; use larger ones or give bounds."
                 )
     if ignored is not None:
+        centres = box[0] + (index + 0.5) * voxel
         plain = [_free_cells(rig[int(c)], given[c], sums[int(c)], centres, 0.0)[1] for c in views]
         index = index[np.sum(plain, axis=0) >= surely]
     if len(index) == 0:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,14 +30,14 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array, runs
 from hypose.inference.layer import Memory, Recipe
-from hypose.io.motions.results import ResultsFolder, provenance_identity, save_body, save_modes, save_motion
+from hypose.io.motions.results import provenance_identity, save_body, save_modes, save_motion
 from hypose.pipeline.assessment import Change, list_changes, not_shown, sentences, with_trace
 from hypose.pipeline.frame_anomalies import against_the_clip, in_words, with_anomalies, with_repeated_points
 from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.retracking import backward_pass, correct_left_right, retrack_start
 from hypose.pipeline.sources import FrameSource, Places, tracked_frames
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.track_loop import StageProgress, TrackedPerson, TrackingSession, tracker_of
+from hypose.pipeline.track_loop import PeopleManager, StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
@@ -118,7 +119,7 @@ class ClipState:
     body: Body | None = None
     method: Recipe | None = None
     own: Sequence[OwnEvidence] = ()
-    results: ResultsFolder | None = None
+    results: Path | None = None
     folders: bool = False
     record: Mapping[str, Any] = field(default_factory=dict)
     resume: bool = False
@@ -245,7 +246,7 @@ def find_people(clip: ClipState) -> ClipState:
             session.save(session.checkpoint)
     clip = replace(clip, people=tuple(session.people), candidates=session.candidates)
     if clip.results is not None and not clip.folders:
-        save_body(clip.who.body, clip.results.file("body.npz"))  # an interrupted run can be viewed
+        save_body(clip.who.body, clip.results / "body.npz")  # an interrupted run can be viewed
     return replace(clip, notes=(*clip.notes, *clip.who.notes))
 
 
@@ -254,11 +255,11 @@ def session_of(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
 
     checkpoint: keep the state in the results folder.
     """
-    path = clip.results.checkpoint if checkpoint and clip.results is not None else None
+    path = clip.results / "checkpoint.npz" if checkpoint and clip.results is not None else None
     return TrackingSession(
         list(clip.people),
         clip.frame_rate,
-        clip.finder,
+        clip.finder or PeopleManager(),
         path,
         provenance_identity(clip.record),
         clip.options.checkpoint_every,
@@ -352,7 +353,7 @@ def clips_of_people(clip: ClipState) -> list[ClipState]:
         frames, own = clip.finder.own_clip(p, clip.people)
         shared, results = len(clip.people) > 1 and p.present[0], clip.results
         if results is not None and clip.folders:
-            results = ResultsFolder(results.path / p.name)
+            results = results / p.name
         about = {"source": frames, "people": (own,), "finder": None, "results": results, "notes": p.subject.notes}
         out.append(replace(clip, **about, shared_masks=shared))
     return out
@@ -502,9 +503,9 @@ def keep_motion(clip: ClipState) -> ClipState:
     assert clip.motion is not None
     motion = with_trace(clip.motion, clip.trace)
     if clip.results is not None:
-        save_motion(motion, clip.results.motion)
+        save_motion(motion, clip.results / "motion.npz")
         if clip.modes is not None:
-            save_modes(clip.modes, clip.results.file(MODES))
+            save_modes(clip.modes, clip.results / MODES)
     return replace(clip, motion=motion)
 
 

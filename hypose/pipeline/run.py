@@ -17,7 +17,7 @@ from hypose.body.motion import Modes, Motion
 from hypose.calibration.findings import Finding
 from hypose.errors import HyposeError, InputError, extra
 from hypose.geometry import Array, runs
-from hypose.io.motions.results import ResultsFolder, load_result_body, save_body, save_motion
+from hypose.io.motions.results import load_result_body, save_body, save_motion, write_json
 from hypose.pipeline.assessment import ASSESSMENT_FILE, Assessment, assess, load_assessment
 from hypose.pipeline.passes import (
     AFTER_TRACKING,
@@ -127,31 +127,12 @@ class TrackResult:
 
         folder: is made where it does not exist.
         """
-        results = ResultsFolder(Path(folder))
-        save_motion(self.motion, results.motion)
-        save_body(self.body, results.file("body.npz"))
-        results.write_json("provenance.json", self.motion.provenance)
+        results = Path(folder)
+        save_motion(self.motion, results / "motion.npz")
+        save_body(self.body, results / "body.npz")
+        write_json(results / "provenance.json", self.motion.provenance)
         there = {"there": self.spans} if self.name else {}
-        results.write_json(ASSESSMENT_FILE, {**self.assessment.document(self.motion), **there})
-
-    @staticmethod
-    def of(clip: ClipState) -> TrackResult:
-        """Make the result from a clip after all passes have run."""
-        assert clip.motion is not None
-        return TrackResult(
-            clip.motion,
-            clip.who.body,
-            clip.complete,
-            clip.notes,
-            clip.modes,
-            clip.one_by_one,
-            clip.audit,
-            clip.findings,
-            clip.places,
-            clip.who.unsure,
-            name=clip.person.name,
-            present=np.array(clip.person.present, dtype=np.bool_) if clip.person.name else None,
-        )
+        write_json(results / ASSESSMENT_FILE, {**self.assessment.document(self.motion), **there})
 
 
 @dataclass(frozen=True)
@@ -216,10 +197,10 @@ def run_clip(
             continue
         done.append(finish(replace(own, complete=own.complete and all(p.complete for p in done)), alone))
     if clip.error is not None and results is not None:
-        kept = f"The {len(clip.estimates)} frames before are kept in {results.path}; see --resume."
+        kept = f"The {len(clip.estimates)} frames before are kept in {results}; see --resume."
         raise type(clip.error)(f"{clip.error} {kept}") from clip.error
     if results is not None and all(p.complete for p in done):
-        results.checkpoint.unlink(missing_ok=True)
+        (results / "checkpoint.npz").unlink(missing_ok=True)
     return clip, done
 
 
@@ -232,4 +213,18 @@ def finish(clip: ClipState, alone: Sequence[Pass] = AFTER_TRACKING) -> TrackResu
         if not clip.estimates:
             raise
         clip = keep_interrupted(clip)
-    return TrackResult.of(clip)
+    assert clip.motion is not None
+    return TrackResult(
+        clip.motion,
+        clip.who.body,
+        clip.complete,
+        clip.notes,
+        clip.modes,
+        clip.one_by_one,
+        clip.audit,
+        clip.findings,
+        clip.places,
+        clip.who.unsure,
+        name=clip.person.name,
+        present=np.array(clip.person.present, dtype=np.bool_) if clip.person.name else None,
+    )

@@ -23,7 +23,7 @@ from hypose.errors import InputError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.motions.results import save_motion
 from hypose.io.recordings.frames import FrameStream, load_person
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import (
@@ -291,7 +291,7 @@ def track_source(
     *,
     body: Body | None = None,
     subject: TrackedSubject | None = None,
-    results: ResultsFolder | None = None,
+    results: Path | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
     progress: StageProgress | None = None,
@@ -404,13 +404,13 @@ def _by_keypoints(
         frames = ChangedFrames(source, partial(_alone, points, tracks[k]), range(first, first + len(where[k])))
         own, folder = replace(options, height=known.height or options.height), None
         if results is not None:
-            folder = ResultsFolder(results.path / names[k])
+            folder = results / names[k]
         out = track_source(frames, frame_rate, own, body=known.body, results=folder, **kept)
         present = np.zeros(total, dtype=np.bool_)
         present[first : first + len(out.motion)] = True
         out = replace(out, motion=padded(out.motion, first, total), name=names[k], present=present)
         if folder is not None:
-            save_motion(out.motion, folder.motion)
+            save_motion(out.motion, folder / "motion.npz")
         done.append(out)
         if not out.complete:
             break

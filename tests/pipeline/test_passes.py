@@ -8,7 +8,7 @@ import pytest
 
 import hypose
 from hypose.app.jobs.explain import explain_joint
-from hypose.io.motions.results import ResultsFolder, save_body
+from hypose.io.motions.results import save_body
 from hypose.pipeline import input_checks, passes, track
 from hypose.pipeline.sources import FrameList
 from hypose.pipeline.subject import SubjectOptions, find_subject
@@ -53,10 +53,10 @@ def with_arm_bent(clip):
 
 
 def explained(frames, subject, tmp_path, evidence="silhouettes"):
-    source, results = FrameList(frames), ResultsFolder(tmp_path)
+    source, results = FrameList(frames), tmp_path
     options = TrackOptions(evidence=evidence, start="keypoints")
     found = track_source(source, 25.0, options, subject=subject, results=results)
-    save_body(found.body, results.file("body.npz"))
+    save_body(found.body, results / "body.npz")
     return explain_joint(tmp_path, JOINT, FRAMES[1])
 
 

@@ -8,7 +8,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.association import PersonTrack
 from hypose.evidence.frame import Frame
-from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline import people
 from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.sources import FrameList
@@ -93,13 +92,13 @@ def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
 def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
     frames, _ = two_people(rig, 10)
     whole = both(frames)
-    results = ResultsFolder(tmp_path)
+    results = tmp_path
 
     half = both(frames, results=results, progress=stop_at("track", 6))
-    assert not half.complete and results.checkpoint.exists()
+    assert not half.complete and (results / "checkpoint.npz").exists()
     assert all(len(p.motion) == 6 for p in half.people)
     rest = both(frames, results=results, resume=True)
-    assert rest.complete and not results.checkpoint.exists()
+    assert rest.complete and not (results / "checkpoint.npz").exists()
     for a, b in zip(whole.people, rest.people, strict=True):
         np.testing.assert_array_equal(a.motion.poses, b.motion.poses)
         np.testing.assert_array_equal(a.motion.joint_covariance, b.motion.joint_covariance)
@@ -111,7 +110,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
 def test_an_interruption_while_a_person_is_finished_is_one_of_the_run(rig, tmp_path, nth):
     frames, _ = two_people(rig, 6)
     whole = both(frames, options=TrackOptions())
-    results, times, at = ResultsFolder(tmp_path), [], []
+    results, times, at = tmp_path, [], []
 
     def stop(stage, done, total):
         at.append((stage, done))
@@ -120,7 +119,7 @@ def test_an_interruption_while_a_person_is_finished_is_one_of_the_run(rig, tmp_p
             raise KeyboardInterrupt
 
     half = both(frames, results=results, progress=stop, options=TrackOptions())
-    assert not half.complete and results.checkpoint.exists() and len(half.people) == 2
+    assert not half.complete and (results / "checkpoint.npz").exists() and len(half.people) == 2
     assert at[-1] == ("smooth", 0)  # nothing is smoothed after it
     at.clear()
     rest = both(frames, results=results, resume=True, progress=stop, options=TrackOptions())
@@ -135,7 +134,7 @@ def test_an_interruption_while_a_person_is_finished_is_one_of_the_run(rig, tmp_p
 @pytest.mark.slow
 def test_a_frame_that_is_interrupted_half_way_is_taken_back(rig, tmp_path, monkeypatch):
     frames, _ = two_people(rig, 8)
-    whole, results = both(frames), ResultsFolder(tmp_path)
+    whole, results = both(frames), tmp_path
     parted = people.part_doubles
 
     def ctrl_c(tracked, together):
@@ -188,7 +187,7 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp
             raise KeyboardInterrupt
 
     # a frame in which a start is interrupted is taken back; the resumed run does it whole
-    kept, at = ResultsFolder(tmp_path), []
+    kept, at = tmp_path, []
     half = both(frames, progress=stop, results=kept, wanted=given)
     assert not half.complete and [p.name for p in half.people] == ["anna"]
     rest = both(frames, results=kept, resume=True, wanted=given)

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
-from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.motions.results import load_motion
 from hypose.pipeline.sources import FrameList
 from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track import track, track_source
@@ -94,28 +94,28 @@ def test_keypoints_alone_need_no_masks(scene, frames, subject):
 
 def test_wanted_evidence_that_is_missing_is_named(frames, subject, tmp_path):
     bare = [Frame(f.time, f.index, None, f.keypoints) for f in frames]
-    results = ResultsFolder(tmp_path)
+    results = tmp_path
     with pytest.raises(EvidenceError, match="no silhouettes"):
         track_source(Frames(bare), 25.0, TrackOptions(), subject=subject, results=results)
-    assert not results.checkpoint.exists()  # there is nothing to go on from
+    assert not (results / "checkpoint.npz").exists()  # there is nothing to go on from
 
 
 def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path):
     options = TrackOptions(checkpoint_every=3)
-    whole, broken = ResultsFolder(tmp_path / "whole"), ResultsFolder(tmp_path / "broken")
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
     track_source(Frames(frames), 25.0, options, subject=subject, results=whole, record={"seed": 0})
 
     part = track_source(
         Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, progress=stop_at("track", 7)
     )
-    assert not part.complete and len(load_motion(broken.motion)) == 7 and broken.checkpoint.exists()
+    assert not part.complete and len(load_motion(broken / "motion.npz")) == 7 and (broken / "checkpoint.npz").exists()
     track_source(Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, resume=True)
-    assert broken.motion.read_bytes() == whole.motion.read_bytes()
-    assert not broken.checkpoint.exists()
+    assert (broken / "motion.npz").read_bytes() == (whole / "motion.npz").read_bytes()
+    assert not (broken / "checkpoint.npz").exists()
 
 
 def test_an_interrupted_run_of_masks_and_key_points_is_judged_by_its_own_frames(frames, subject, tmp_path):
-    options, results = TrackOptions(evidence="both"), ResultsFolder(tmp_path)
+    options, results = TrackOptions(evidence="both"), tmp_path
     part = track_source(
         FrameList(frames), 25.0, options, subject=subject, results=results, progress=stop_at("track", 3)
     )
@@ -123,17 +123,17 @@ def test_an_interrupted_run_of_masks_and_key_points_is_judged_by_its_own_frames(
 
 
 def test_who_was_found_before_an_interruption_is_not_searched_again(frames, tmp_path, monkeypatch):
-    options, results = TrackOptions(start="keypoints", girths=False), ResultsFolder(tmp_path)
+    options, results = TrackOptions(start="keypoints", girths=False), tmp_path
     with pytest.raises(KeyboardInterrupt):
         track_source(Frames(frames), 25.0, options, results=results, progress=stop_at("track", 0))
     monkeypatch.setattr("hypose.pipeline.passes.find_subject", None)
     rest = track_source(Frames(frames), 25.0, options, results=results, resume=True)
-    assert rest.complete and not results.checkpoint.exists() and results.file("body.npz").exists()
+    assert rest.complete and not (results / "checkpoint.npz").exists() and (results / "body.npz").exists()
     assert rest.notes[0].startswith("segment lengths from the key points")
 
 
 def test_resume_of_another_run_is_refused(frames, subject, tmp_path):
-    results = ResultsFolder(tmp_path / "r")
+    results = tmp_path / "r"
 
     track_source(
         Frames(frames),
@@ -151,10 +151,10 @@ def test_resume_of_another_run_is_refused(frames, subject, tmp_path):
 
 
 def test_an_error_in_the_middle_keeps_what_was_tracked(frames, subject, tmp_path):
-    results = ResultsFolder(tmp_path / "r")
+    results = tmp_path / "r"
     with pytest.raises(InputError, match=r"cam2\.mp4 ends.*7 frames before are kept"):
         track_source(Frames(frames, broken_at=7), 25.0, TrackOptions(), subject=subject, results=results, record={})
-    assert len(load_motion(results.motion)) == 7
+    assert len(load_motion(results / "motion.npz")) == 7
 
 
 def test_no_frames_and_unknown_choices_are_refused(subject):

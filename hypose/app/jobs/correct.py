@@ -27,7 +27,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, claimed, read_json
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.results import ResultsFolder, load_body, load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.options import MOST_FRAMES, Formats, Option, Threads
@@ -94,27 +94,27 @@ def correct(
     recording = find_recording(results)
     if recording is None:
         raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
-    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
+    folder = out or results.with_name(f"{results.name}-corrected")
     correction, names = read_correction(clicks), split_names(formats)
     if until is not None:
         correction = replace(correction, until=until)
-    with claimed(folder.path), Stages() as progress:
-        if folder.path.resolve() == results.resolve():
+    with claimed(folder), Stages() as progress:
+        if folder.resolve() == results.resolve():
             raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
-        check_writable(folder.path)
-        motion, body = _tracked_again(recording, ResultsFolder(results), correction, progress)
-        TrackResult(motion, body, True, ()).save(folder.path)
+        check_writable(folder)
+        motion, body = _tracked_again(recording, results, correction, progress)
+        TrackResult(motion, body, True, ()).save(folder)
         for name in each(progress, "export", names):
-            export_motion(motion, body, folder.path, (name,))
-        for path in each(progress, "report", [folder.file("report.html")]):
-            write_report(path, load_view(folder.path, recording))
+            export_motion(motion, body, folder, (name,))
+        for path in each(progress, "report", [folder / "report.html"]):
+            write_report(path, load_view(folder, recording))
     say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
-    say(f"Results: {folder.path}")
-    require_found(motion, recording.name, folder.path)
+    say(f"Results: {folder}")
+    require_found(motion, recording.name, folder)
 
 
 def _tracked_again(
-    recording: Recording, old: ResultsFolder, correction: Correction, progress: ProgressCall
+    recording: Recording, old: Path, correction: Correction, progress: ProgressCall
 ) -> tuple[Motion, Body]:
     """Track a result again from a corrected frame; return the whole motion and the body.
 
@@ -122,14 +122,14 @@ def _tracked_again(
     correction: corrected pose, and the frames to track again.
     Raises: InputError where the correction does not fit the result.
     """
-    motion, body = load_motion(old.motion), load_body(old.file("body.npz"))
+    motion, body = load_motion(old / "motion.npz"), load_body(old / "body.npz")
     options, first = _options(motion, old)
     start, row, stop = _rows(motion, correction, first)
     if len(correction.pose) != body.skeleton.dof:
-        raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old.path} itself.")
+        raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old} itself.")
     compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
-    record |= {"clicks": correction.name, "of": old.path.name}
+    record |= {"clicks": correction.name, "of": old.name}
     # the corrected pose also defines left and right
     sure, joined = replace(options, sure_start=True), motion
 
@@ -214,7 +214,7 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
     return with_trace(joined, [*trace_of(old), *later(trace_of(new), row), *corrected])
 
 
-def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
+def _options(motion: Motion, old: Path) -> tuple[TrackOptions, int]:
     """Read how a result was tracked.
 
     old: its folder, for the error.
@@ -227,7 +227,7 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
     options = TrackOptions(**{k: v for k, v in settings.items() if k in known})
     if motion.poses is None or not frames or "recipe" not in settings or options.of_picture:
         raise InputError(
-            f"{old.path} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
+            f"{old} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
             "corrected frame; with one camera start it again: hypose track --recipe monocular --start CLICKS."
         )
     return options, int(frames[0])

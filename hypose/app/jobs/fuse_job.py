@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -38,7 +39,7 @@ from hypose.fusion.register import Registration, check_same_person, common_joint
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, claimed, file_name
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
+from hypose.io.motions.results import provenance, results_folder, save_motion, to_json, write_json
 from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
@@ -71,22 +72,22 @@ def fuse(c: FuseCommand) -> None:
     loaded = read_skeletons(c.recording)
     folder = c.recording if c.recording.is_dir() else c.recording.parent
     name = f"fuse-{c.method}" if c.recording.is_dir() else f"{file_name(loaded.name)}-fuse-{c.method}"
-    results = ResultsFolder(c.out) if c.out is not None else ResultsFolder.of(folder, name)
-    kept = f"Stopped; motions that were complete are kept in {results.path}. Start again with the same command."
-    with stopping(kept), claimed(results.path), Stages() as progress:
+    results = results_folder(folder, name) if c.out is None else c.out
+    kept = f"Stopped; motions that were complete are kept in {results}. Start again with the same command."
+    with stopping(kept), claimed(results), Stages() as progress:
         people, notes = run_fuse(loaded, results, c, progress)
     print_notes(notes)
     for n, (m, _) in enumerate(people, 1):
         name = f"{loaded.name}{f', person {n}' if len(people) > 1 else ''}"
         print_figures(name, m, f"of {counted(len(loaded.streams), 'sensor')} at {m.frame_rate:g} Hz")
-    say(f"Results: {results.path}")
+    say(f"Results: {results}")
     if all(m.lost.all() for m, _ in people):
-        require_found(people[0][0], loaded.name, results.path)
+        require_found(people[0][0], loaded.name, results)
     print_assessments({f"person-{n}" if len(people) > 1 else "": a for n, (_, a) in enumerate(people, 1)})
 
 
 def run_fuse(
-    recording: SkeletonRecording, results: ResultsFolder, c: FuseCommand, progress: ProgressCall = ignore
+    recording: SkeletonRecording, results: Path, c: FuseCommand, progress: ProgressCall = ignore
 ) -> tuple[list[tuple[Motion, Assessment]], list[str]]:
     """Fuse the skeletons of a recording to one motion per person, and write the files of each.
 
@@ -104,7 +105,7 @@ def run_fuse(
         raise InputError(
             f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
         )
-    check_writable(results.path)
+    check_writable(results)
     notes = list(recording.notes)
     progress("prepare", 0, 1)
     streams = _ordered(recording, c)
@@ -122,7 +123,7 @@ def run_fuse(
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
     total, folders = len(people) * len(times), [results]
     if len(people) > 1:
-        folders = [ResultsFolder(results.path / f"person-{n + 1}") for n in range(len(people))]
+        folders = [results / f"person-{n + 1}" for n in range(len(people))]
     done: list[tuple[Motion, Assessment]] = []
     world: Array | None = None
     for n, whole in enumerate(people):
@@ -138,7 +139,7 @@ def run_fuse(
         assessment = assess_fused(made.motion, clip, registration, names)
         done.append((_write(recording, c, made, world, folders[n], notes, assessment), assessment))
         # only formats with poses use the body, and those were refused above
-        export_motion(done[-1][0], cast(Body, None), folders[n].path, formats)
+        export_motion(done[-1][0], cast(Body, None), folders[n], formats)
     progress("fuse", total, total)
     return done, notes
 
@@ -277,7 +278,7 @@ def _write(
     c: FuseCommand,
     fused: Fused,
     world: Array,
-    folder: ResultsFolder,
+    folder: Path,
     notes: Sequence[str],
     assessment: Assessment,
 ) -> Motion:
@@ -299,11 +300,11 @@ def _write(
     }
     record = provenance(f"fusion-{c.method}", c.seed, settings, recording.inputs, {"threads": c.threads})
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
-    save_motion(motion, folder.motion)
-    folder.write_json("provenance.json", record)
-    folder.write_json(ASSESSMENT_FILE, assessment.document())
+    save_motion(motion, folder / "motion.npz")
+    write_json(folder / "provenance.json", record)
+    write_json(folder / ASSESSMENT_FILE, assessment.document())
     # each sensor's share (0 to 1) in each joint
     columns = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
     table = np.column_stack([fused.motion.times, fused.shares.reshape(len(fused.shares), -1)])
-    write_csv(folder.file("sensors.csv"), columns, table.round(4).tolist())
+    write_csv(folder / "sensors.csv", columns, table.round(4).tolist())
     return motion

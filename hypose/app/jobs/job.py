@@ -38,18 +38,19 @@ from hypose.calibration.findings import REVIEW, Finding
 from hypose.compute.warming import warm_up
 from hypose.errors import InputError
 from hypose.geometry import runs
-from hypose.io.files import check_writable, claimed
+from hypose.io.files import check_writable, claimed, write_text
 from hypose.io.motions.animation import write_people_glb
 from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.marker_files import joint_residuals, write_c3d
 from hypose.io.motions.results import (
-    ResultsFolder,
     load_body,
     load_modes,
     load_motion,
     provenance,
     provenance_identity,
+    results_folder,
     to_json,
+    write_json,
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
@@ -81,7 +82,7 @@ class TrackJob:
 
     recording: Recording
     options: TrackOptions
-    results: ResultsFolder
+    results: Path
     command: TrackCommand
     truth: Callable[[Motion], Truth] | None = None
 
@@ -122,7 +123,7 @@ def job_of(command: TrackCommand, recording: Recording | None = None) -> TrackJo
     name = options.recipe
     if command.people is not None:
         name = "people" if name == "default" else f"{name}-people"
-    results = ResultsFolder.of(loaded.folder, name) if command.out is None else ResultsFolder(command.out)
+    results = results_folder(loaded.folder, name) if command.out is None else command.out
     return TrackJob(loaded, options, results, command)
 
 
@@ -176,7 +177,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     """
     recording, results, several = job.recording, job.results, job.command.people is not None
     check_job(job)
-    check_writable(results.path)
+    check_writable(results)
     record = record_of(job)
     compile_before(progress, *(() if several else _kernels(recording, job.options)))
     before = finished_before(job, record) if job.command.resume and not several else None
@@ -190,7 +191,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
         people, notes = found.people, (*recording.notes, *source.notes, *found.notes)
         first = people[0]
         for one in people:
-            one.save(_folder(job, one).path)
+            one.save(_folder(job, one))
         truth = job.truth(first.motion) if job.truth is not None else None
         if found.complete:
             for one in people:
@@ -201,7 +202,7 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
     assessment = first.assessment
     if several:
         assessment = worst_assessment(people, found.absent)
-        results.write_json(ASSESSMENT_FILE, assessment.document())
+        write_json(results / ASSESSMENT_FILE, assessment.document())
     said = (f"{one.name}: {n}" if one.name else n for one in people for n in one.notes)
     return Outcome(first.motion, found.complete, (*notes, *said), truth, assessment)
 
@@ -303,30 +304,30 @@ def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | N
     Returns: result of the earlier run; None without one.
     """
     results = job.results
-    body = results.file("body.npz")
-    if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
+    body = results / "body.npz"
+    if (results / "checkpoint.npz").exists() or not (results / "motion.npz").exists() or not body.exists():
         return None
-    motion = load_motion(results.motion)
+    motion = load_motion(results / "motion.npz")
     if to_json(provenance_identity(motion.provenance)) != to_json(provenance_identity(record)) or len(motion) != len(
         job.recording.frames
     ):
         return None
     notes, modes = ("tracked in an earlier run with the same inputs and settings",), None
     if job.options.of_picture:
-        if not results.file(MODES).exists():
+        if not (results / MODES).exists():
             return None
-        modes = load_modes(results.file(MODES))
+        modes = load_modes(results / MODES)
         notes = (*notes, depth_note(motion, modes))
-    return TrackResult(motion, load_body(body), True, notes, modes, judged=load_assessment(results.path))
+    return TrackResult(motion, load_body(body), True, notes, modes, judged=load_assessment(results))
 
 
 _SAVED = ("motion.npz", MODES, "body.npz", "provenance.json", ASSESSMENT_FILE)
 """Files that exist before the motion files of a person are written; MODES with one camera only."""
 
 
-def _folder(job: TrackJob, one: TrackResult) -> ResultsFolder:
+def _folder(job: TrackJob, one: TrackResult) -> Path:
     """Return the results folder of one person; a single person, without a name, has that of the job."""
-    return ResultsFolder(job.results.path / one.name)
+    return job.results / one.name
 
 
 def _export_and_report(
@@ -344,11 +345,11 @@ def _export_and_report(
     """
     motion, body, modes = one.motion, one.body, one.modes
     recording, results = job.recording, _folder(job, one)
-    files = [results.file(n) for n in _SAVED if n != MODES or modes is not None]
+    files = [results / n for n in _SAVED if n != MODES or modes is not None]
     for name in each(progress, "export", job.formats):
-        files += export_motion(motion, body, results.path, (name,))
+        files += export_motion(motion, body, results, (name,))
     video, reported = job.command.overlay and not one.name, job.command.report
-    files += [results.file("overlay.webm")] * video + [results.file("report.html")] * reported
+    files += [results / "overlay.webm"] * video + [results / "report.html"] * reported
     if video or reported:
         view = ViewResult(
             f"{recording.name}: {one.name}" if one.name else recording.name,
@@ -363,13 +364,13 @@ def _export_and_report(
             files=[(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in files],
         )
         wanted, people = picture_rows(view, video) if reported else PictureRows(video), [Shown("", motion, body)]
-        drawn = write_overlay(results.file("overlay.webm"), recording, source, people, wanted, progress)
+        drawn = write_overlay(results / "overlay.webm", recording, source, people, wanted, progress)
         for _ in each(progress, "report", [view] * reported):
-            results.write_text("report.html", report_html(view, drawn))
+            write_text(results / "report.html", report_html(view, drawn))
     remove_stale(results, files)
 
 
-def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
+def remove_stale(results: Path, written: Sequence[Path]) -> None:
     """Delete files of an earlier run that this run did not write, since they would be mistaken for results of this one.
 
     written: paths that this run wrote; other files in the folder that no run writes stay.
@@ -378,7 +379,7 @@ def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
     for name in DESCRIPTIONS:
         if name not in keep:
             with contextlib.suppress(OSError):
-                results.file(name).unlink(missing_ok=True)
+                (results / name).unlink(missing_ok=True)
 
 
 # ---- several people together -----------------------------------------------------------------------------------------
@@ -412,24 +413,25 @@ def _together(
     source: frames of the recording with all people.
     notes: for people.json and the page.
     """
-    results, files = job.results, [job.results.file(ASSESSMENT_FILE)]
+    results, files = job.results, [job.results / ASSESSMENT_FILE]
     if job.command.overlay:
-        files.append(results.file("overlay.webm"))
+        files.append(results / "overlay.webm")
         shown = [Shown(p.name, p.motion, p.body, p.there) for p in people]
         write_overlay(files[-1], job.recording, source, shown, PictureRows(), progress)
     if "c3d" in job.formats:
-        files.append(write_people_c3d(results.file("motion.c3d"), people))
+        files.append(write_people_c3d(results / "motion.c3d", people))
     if "glb" in job.formats:
-        files.append(results.file("motion.glb"))
+        files.append(results / "motion.glb")
         write_people_glb(files[-1], [(p.name, p.motion, p.body) for p in people])
     about = [
         {"name": p.name, "folder": p.name, "assessment": p.assessment.word, "there": p.spans}
         | {"stature": p.body.stature}
         for p in people
     ]
-    results.write_json("people.json", {"people": about, "notes": list(notes)})
+    write_json(results / "people.json", {"people": about, "notes": list(notes)})
     if job.command.report:
-        files.append(results.write_text("report.html", _index(job, people, notes)))
+        files.append(results / "report.html")
+        write_text(files[-1], _index(job, people, notes))
     remove_stale(results, files)
 
 
@@ -478,7 +480,7 @@ def track_shown(job: TrackJob) -> None:
     """Run a job with progress and print its outcome; after an interruption, print what was kept and how to continue,
     and exit with code 130.
     """
-    with stopping(lambda: _kept(job)), claimed(job.results.path), Stages() as progress:
+    with stopping(lambda: _kept(job)), claimed(job.results), Stages() as progress:
         outcome = run_job(job, progress, progress.seconds)
         if not outcome.complete:
             raise KeyboardInterrupt
@@ -491,10 +493,10 @@ def _kept(job: TrackJob) -> str:
     again = [a for a in click.get_current_context().find_root().obj or [] if a != "--resume"]
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
     several = job.command.people is not None
-    motions = sorted(results.path.glob("*/motion.npz")) if several else [results.motion]
-    motions, where = [m for m in motions if m.exists()], results.path if several else results.motion
+    motions = sorted(results.glob("*/motion.npz")) if several else [results / "motion.npz"]
+    motions, where = [m for m in motions if m.exists()], results if several else results / "motion.npz"
     if not motions:
-        kept = " Kept: body and start of the person." if results.checkpoint.exists() else ""
+        kept = " Kept: body and start of the person." if (results / "checkpoint.npz").exists() else ""
         return f"Stopped before the first frame was tracked.{kept} Go on with: {command}"
     done = f"{len(load_motion(motions[0]))} of {total} frames"
     return f"Stopped. Kept: {done} in {where}. Go on with: {command}"
@@ -513,10 +515,10 @@ def _report_outcome(job: TrackJob, outcome: Outcome, seconds: Mapping[str, float
     print_figures(job.recording.name, outcome.motion, f"in {of} view{'s' * (of != '1')}", speed)
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
-    say(f"Results: {job.results.path}")
+    say(f"Results: {job.results}")
     if job.command.report:
-        say(f"Report:  {job.results.file('report.html')}")
-    require_found(outcome.motion, job.recording.name, job.results.path)
+        say(f"Report:  {job.results / 'report.html'}")
+    require_found(outcome.motion, job.recording.name, job.results)
     print_assessments({"": outcome.assessment})
 
 

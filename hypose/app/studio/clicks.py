@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import read_json
-from hypose.io.motions.results import ResultsFolder, load_body, load_motion
+from hypose.io.motions.results import load_body, load_motion, write_json
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
 from hypose.pipeline.one_camera import LEAST_CLICKS
@@ -319,8 +320,8 @@ def _body(
     if height is not None:
         height = request_number(height, "the height (m)", 0.4, 2.8)
     if isinstance(value.get("result"), str):
-        folder = ResultsFolder(catalog.find("result", value["result"]).path)
-        changed = folder.motion.stat().st_mtime_ns if folder.motion.is_file() else 0
+        folder = catalog.find("result", value["result"]).path
+        changed = (folder / "motion.npz").stat().st_mtime_ns if (folder / "motion.npz").is_file() else 0
         return *_corrected(folder, changed, frame), True
     if measured.is_file():
         return load_body(measured), None, True
@@ -329,13 +330,13 @@ def _body(
 
 
 @lru_cache(maxsize=4)
-def _corrected(folder: ResultsFolder, changed: int, frame: int) -> tuple[Body, Array | None]:
+def _corrected(folder: Path, changed: int, frame: int) -> tuple[Body, Array | None]:
     """Load a result's body, and its pose in a frame of the recording; None without one. Cached, since it is needed
     repeatedly while a joint is dragged.
 
     changed: time of the file's last change.
     """
-    motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
+    motion, body = load_motion(folder / "motion.npz"), load_body(folder / "body.npz")
     row = frame - first_frame(motion)
     if motion.poses is None or not 0 <= row < len(motion) or not np.isfinite(motion.poses[row]).all():
         return body, None
@@ -375,7 +376,7 @@ def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Record
     keep |= {k: whole(value[k], f"the frame {k}", 0, 10**9) for k in ("since", "until") if value.get(k) is not None}
     keep |= _for_one_camera(value["views"], value.get("camera"), recording)
     document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
-    ResultsFolder(starts).write_json(f"{name}.json", document)
+    write_json(starts / f"{name}.json", document)
     return {"name": name, **document}
 
 

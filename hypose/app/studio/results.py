@@ -24,7 +24,7 @@ from hypose.app.studio.view_bundle import (
     view_bundle,
 )
 from hypose.errors import HyposeError
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, load_motion
+from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 _READ = ("motion.npz", "body.npz", "assessment.json", "modes.npz")
@@ -126,7 +126,7 @@ class Results:
         """Compute the gait of a result for the page (`gait_values`); it is empty where files cannot be read."""
         with self._one, contextlib.suppress(HyposeError):
             motion = load_motion(item.path / "motion.npz")
-            return gait_values(motion, body_of_result(ResultsFolder(item.path), motion))
+            return gait_values(motion, body_of_result(item.path, motion))
         return {"events": [], "figures": [], "cycles": []}
 
     def so_far(self, plan: Plan, began: float | None) -> bytearray | None:

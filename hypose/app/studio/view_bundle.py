@@ -30,7 +30,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import MOTION_FORMATS
-from hypose.io.motions.results import ResultsFolder, json_values, load_body, load_joints_of_modes, load_motion
+from hypose.io.motions.results import json_values, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
@@ -303,8 +303,8 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
     path = Path(results)
     if not path.exists():
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
-    folder = ResultsFolder(path if path.is_dir() else path.parent)
-    motion = load_motion(folder.motion if path.is_dir() else path)
+    folder = path if path.is_dir() else path.parent
+    motion = load_motion(folder / "motion.npz" if path.is_dir() else path)
     if len(motion) == 0:
         raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
     notes: list[str] = []
@@ -318,7 +318,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
 
     body = part("The body is not shown", lambda: body_of_result(folder, motion))
     if recording is None:
-        recording = part("The recording cannot be shown", lambda: find_recording(folder.path))
+        recording = part("The recording cannot be shown", lambda: find_recording(folder))
     first, truth, how = first_frame(motion), None, motion.provenance.get("settings")
     if recording is not None:
         notes += recording.notes
@@ -326,20 +326,20 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         if known.is_file() and motion.poses is not None:
             truth = part("The truth is not shown", lambda: compare_with_truth(known, motion, first))
     return ViewResult(
-        recording.name if recording is not None else folder.path.resolve().name,
+        recording.name if recording is not None else folder.resolve().name,
         motion,
         body,
         recording,
         first_frame=first,
-        files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
+        files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder / n).is_file()],
         notes=notes,
         citation=citation_of(
             str(motion.provenance.get("recipe")), isinstance(how, Mapping) and bool(how.get("refine"))
         ),
         truth=truth,
-        complete=not folder.checkpoint.exists(),
-        rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
-        assessment=_assessment(folder.path, motion),
+        complete=not (folder / "checkpoint.npz").exists(),
+        rivals=part("Other poses are not shown", lambda: _rivals(folder / "modes.npz", motion)),
+        assessment=_assessment(folder, motion),
     )
 
 
@@ -358,7 +358,7 @@ def find_recording(results: Path) -> Recording | None:
     return None if folder is None else load_recording(folder)
 
 
-def body_of_result(folder: ResultsFolder, motion: Motion) -> Body | None:
+def body_of_result(folder: Path, motion: Motion) -> Body | None:
     """Load the body of a result.
 
     folder: folder of the result.
@@ -366,7 +366,7 @@ def body_of_result(folder: ResultsFolder, motion: Motion) -> Body | None:
     Returns: None where the motion has no poses, or no body was kept.
     Raises: InputError where body and motion do not belong together.
     """
-    path = folder.file("body.npz")
+    path = folder / "body.npz"
     if motion.poses is None or not path.is_file():
         return None
     body = load_body(path)

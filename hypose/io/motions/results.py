@@ -107,42 +107,14 @@ def json_values(value: Any) -> Any:
     return value if isinstance(value, int | bool) or value is None else visible(str(value))
 
 
-@dataclass(frozen=True)
-class ResultsFolder:
-    """The folder of one run, results/<recipe>/ of a recording; it is made when the first file is written."""
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as a JSON file, as `to_json` formats it, whole or not at all."""
+    write_text(path, to_json(value))
 
-    path: Path
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "path", Path(self.path))
-
-    @staticmethod
-    def of(recording_folder: str | Path, recipe: str) -> ResultsFolder:
-        """Locate the folder results/<recipe>/ of the recording in `recording_folder`."""
-        return ResultsFolder(Path(recording_folder) / "results" / recipe)
-
-    @property
-    def motion(self) -> Path:
-        """Path of the motion."""
-        return self.path / "motion.npz"
-
-    @property
-    def checkpoint(self) -> Path:
-        """Path of the state of an unfinished run."""
-        return self.path / "checkpoint.npz"
-
-    def file(self, name: str) -> Path:
-        """Return the path of a file in this folder."""
-        return self.path / name
-
-    def write_text(self, name: str, text: str) -> Path:
-        r"""Write a text file (UTF-8, line ends \n) whole or not at all, and return its path."""
-        write_text(self.path / name, text)
-        return self.path / name
-
-    def write_json(self, name: str, value: Any) -> Path:
-        """Write a JSON file whole or not at all, and return its path."""
-        return self.write_text(name, to_json(value))
+def results_folder(recording_folder: str | Path, recipe: str) -> Path:
+    """Locate the folder results/<recipe>/ of a recording; it is made when the first file is written."""
+    return Path(recording_folder) / "results" / recipe
 
 
 # ---- archives ----------------------------------------------------------------------------------------------
