@@ -79,16 +79,12 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Array:
     t = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     k = np.empty((*m.shape[:-2], 4, 4))
     k[..., 0, 0] = t
-    k[..., 0, 1] = k[..., 1, 0] = m[..., 2, 1] - m[..., 1, 2]
-    k[..., 0, 2] = k[..., 2, 0] = m[..., 0, 2] - m[..., 2, 0]
-    k[..., 0, 3] = k[..., 3, 0] = m[..., 1, 0] - m[..., 0, 1]
-    for i in range(3):
-        for j in range(3):
-            k[..., i + 1, j + 1] = m[..., i, j] + m[..., j, i] - (t if i == j else 0)
+    across = [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]]
+    k[..., 0, 1:] = k[..., 1:, 0] = np.stack(across, -1)
+    k[..., 1:, 1:] = m + np.swapaxes(m, -1, -2) - t[..., None, None] * np.eye(3)
     # K/3's dominant eigenvector is the quaternion (Bar-Itzhack 2000); its column of largest diagonal is
     # proportional to it for exact rotations and avoids an eigen-decomposition.
-    diagonal = np.stack([k[..., i, i] for i in range(4)], -1)
-    best = diagonal.argmax(-1)
+    best = np.einsum("...ii->...i", k).argmax(-1)
     column = np.take_along_axis(k, best[..., None, None], axis=-1)[..., 0]
     column = column + np.where(np.arange(4) == best[..., None], 1.0, 0.0)
     return column / np.linalg.norm(column, axis=-1, keepdims=True)

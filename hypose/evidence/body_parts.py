@@ -206,7 +206,7 @@ def end_colors(
     for c in np.flatnonzero(silhouettes.usable):
         camera = silhouettes.rig[int(c)]
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        _, face, _ = rasterize(camera.project_pinhole(vertices), depth, mesh.faces, camera.size)
+        _, face = rasterize(camera.project_pinhole(vertices), depth, mesh.faces, camera.size)
         h, w = face.shape
         inner = cv2.erode(silhouettes.masks[c, :h, :w], np.ones((3, 3), np.uint8)) > 0
         picture, shown = images[c, :h, :w], inner & (face >= 0)

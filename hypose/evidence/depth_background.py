@@ -177,7 +177,9 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
     several: segment everything that may be a person, or a part of one next to another.
     Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
     """
-    found, unknown = _standing(_without(depth, room), camera), np.zeros(depth.shape, dtype=np.bool_)
+    known = False if room is None else (room > 0) & (depth > room - _tolerance(room))
+    found = _standing(np.where(known, 0, depth).astype(np.float32), camera)
+    unknown = np.zeros(depth.shape, dtype=np.bool_)
     if several:
         return holes_filled(_calm(found.people()), depth, unknown)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
@@ -214,17 +216,6 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
 def _tolerance(depth: DepthMap) -> DepthMap:
     """Compute the largest difference (h, w), m, of two values of one surface."""
     return np.asarray(np.maximum(_LEAST_M, _SDS * depth_sd(depth)), dtype=np.float32)
-
-
-def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """Set the pixels of a map to 0 that are known to be of the room.
-
-    depth: (h, w) m.
-    room: (h, w) distance of the room, m, 0 = unknown; None: the map is returned as it is.
-    """
-    if room is None:
-        return depth
-    return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -246,11 +246,6 @@ class SensorJoints:
         if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
             raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
 
-    @property
-    def measured_depth(self) -> list[Array]:
-        """Depth of the sensors' depth maps at the joints: one array (K, J), m, 0 = hole; none without depth maps."""
-        return [] if self.joint_depth is None else [self.joint_depth]
-
 
 def clean_joints(
     positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]

@@ -322,19 +322,17 @@ def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int
     """
     rows = [[None if p is None else p[t] for p in people] for t in range(max((len(p) for p in people), default=0))]
     single = [[None if p is None or len(p) != 1 else p[0] for p in row] for row in rows]
-    usable = [row for row in single if sum(p is not None and (p[:, 2] > _CONFIDENT).sum() >= 6 for p in row) >= 2]
-    if len(usable) < 3:  # several people in all frames: the tallest, which is mostly the nearest, in all views
-
-        def tall(p: Array) -> float:
-            seen = p[:, 2] > _CONFIDENT
-            return float(np.ptp(p[seen, 1])) if seen.sum() > 1 else 0.0
-
-        tallest = [[None if p is None else max(p, key=tall, default=None) for p in row] for row in rows]
-        usable = [row for row in tallest if sum(p is not None and tall(p) > 0 for p in row) == views]
-        if len(usable) < 3 or views < 3:
-            return None
-    chosen = [usable[i] for i in np.unique(np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int))]
-    return np.stack([np.stack([np.zeros((count, 3)) if p is None else p for p in row]) for row in chosen], 1)
+    # several people in all frames: the tallest, which is mostly the nearest, in all views
+    tallest = [[None if p is None else max(p, key=person_size, default=None) for p in row] for row in rows]
+    for chosen, fewest in ((single, 2), (tallest, max(views, 3))):
+        usable = [
+            row for row in chosen if sum(p is not None and person_size(p, _CONFIDENT, 6) > 0 for p in row) >= fewest
+        ]
+        if len(usable) >= 3:
+            some = np.unique(np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int))
+            points = [[np.zeros((count, 3)) if p is None else p for p in usable[i]] for i in some]
+            return np.array(points).transpose(1, 0, 2, 3)
+    return None
 
 
 _TRUNK = ("left_shoulder", "left_hip", "right_shoulder", "right_hip")

@@ -20,7 +20,7 @@ from scipy import ndimage
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull, common_view_bounds, visual_hull
 from hypose.geometry import Array
@@ -62,8 +62,6 @@ class BodyShape:
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
-        if z.min() > _NEAR_M:
-            return x[:, :2] / z, x[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(z > _NEAR_M, x[:, :2] / z, np.nan), x[:, 2]
 
@@ -517,20 +515,14 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
     """
     if frame.depth is None:
         return visual_hull(frame.the(Silhouettes), bounds)
-    depth, found, rays = frame.depth, list[Array](), list[Array]()
-    for c in np.flatnonzero(depth.usable).tolist():
-        camera, (w, h) = depth.rig[c], depth.rig.sizes[c]
-        given = np.ascontiguousarray(depth.maps[c, :h, :w])
-        # pixels whose neighbours lie on the same surface, at the median of these
-        low, high, z = cv2.erode(given, _AROUND), cv2.dilate(given, _AROUND), cv2.medianBlur(given, 3)
-        v, u = np.nonzero((low > 0) & (high - low < JUMP_M) & (depth.person[c, :h, :w] > 0))
-        points = in_world(camera, back_projected(camera, u, v, z[v, u]))
-        ray = points - camera.position
-        found.append(points)
-        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    if not sum(len(p) for p in found):
+    depth = frame.depth
+    at, seen = replace(depth, maps=np.stack([cv2.medianBlur(m, 3) for m in depth.maps])).pixels
+    whole = _even(depth.maps, _AROUND, JUMP_M)[tuple(at.T)]
+    at, seen = at[whole], seen[whole]
+    if not len(seen):
         raise EvidenceError("No depth camera shows a person; choose another frame, or record the empty room again.")
-    seen, ray = np.concatenate(found), np.concatenate(rays)
+    ray = seen - depth.rig.positions[at[:, 0]]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     ray[:, 2] = 0  # feet and head are where they are seen
     behind = np.arange(0.0, _THICK_M, _VOXEL_M)
     points = (seen[:, None] + behind[:, None] * ray[:, None]).reshape(-1, 3)
@@ -539,6 +531,11 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
     if not len(points):
         return Hull(np.zeros((1, 1, 1), dtype=np.bool_), np.zeros(3), _VOXEL_M)
     return _voxels(points, _VOXEL_M, 1)
+
+
+def _even(maps: NDArray[np.float32], around: NDArray[np.uint8], most: float) -> NDArray[np.bool_]:
+    """Find the pixels (C, h, w) around which depth maps differ by less than `most`, m; around: shape of the part."""
+    return np.stack([cv2.dilate(m, around) - cv2.erode(m, around) < most for m in maps])
 
 
 def _voxels(points: Array, voxel: float, least: int) -> Hull:
@@ -574,8 +571,7 @@ def people_in_depth(
     most: largest number of people.
     """
     at, points = depth.pixels
-    calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
-    rest = calm[tuple(at.T)]
+    rest = _even(depth.maps, _AROUND, 2 * JUMP_M)[tuple(at.T)]
     for one in known:
         rest &= _away(one.shape, at, points) > _EXPLAINED_M
     at, points = at[rest], points[rest]
@@ -656,9 +652,7 @@ def _nearest_person(
     """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
-    theirs_m = np.full(len(points), np.inf)
-    for other in others:
-        theirs_m = np.minimum(theirs_m, _away(other.shape, at, points))
+    theirs_m = np.min([np.full(len(points), np.inf), *(_away(other.shape, at, points) for other in others)], axis=0)
     mine = (mine_m <= theirs_m) & (mine_m < _REACH_M) | (anywhere & (theirs_m > _EXPLAINED_M))
     masks, taken = np.zeros_like(depth.person), np.zeros_like(depth.person)
     masks[tuple(at[mine].T)] = 1

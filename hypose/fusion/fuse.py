@@ -175,7 +175,8 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     sensors = world.shape[1]
     swarm, memory = start_swarm(sensors), start_confidence(sensors)
     for frame, registered in zip(raw, world, strict=True):
-        seen = frame.positions, frame.state, frame.measured_depth, frame.times
+        measured = [] if frame.joint_depth is None else [frame.joint_depth]
+        seen = frame.positions, frame.state, measured, frame.times
         memory, inputs = confidence_step(memory, *seen, s.cured)
         swarm, estimate = swarm_step(swarm, registered, s.rules.noise(*normalised(inputs, s.cured)), 0.0, s, seed)
         yield estimate

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import forest_votes, forests
-from hypose.compute.forest_votes import Packed
 from hypose.compute.forests import GrowingArrays, PaddedDepth
 
 CLASSES = 2
@@ -77,7 +76,7 @@ class Forest:
     size: NDArray[np.int32]
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> NDArray[np.int16]:
         """Memory layout of the forest for scanning pictures."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
@@ -153,7 +152,7 @@ class GrowingForest:
         return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.seen[:, :n].copy(), a.size.copy())
 
     @property
-    def packed(self) -> Packed:
+    def packed(self) -> NDArray[np.int16]:
         """Memory layout of the forest as it is now, for scanning pictures."""
         a = self.arrays
         return forest_votes.pack(a.test, a.left, a.seen, a.size)

@@ -273,7 +273,7 @@ def best_ways(
     likely = [
         (k, start)
         for k, starts in found
-        for start, weight in list(zip(starts.starts, starts.weights, strict=True))[: SETTINGS.choice_best]
+        for start, weight in list(zip(starts.starts, starts.weights, strict=True))[:2]
         if weight > SETTINGS.choice_likely
     ]
     return _by_all_frames(frames, rate, [*tried, *likely], seed)

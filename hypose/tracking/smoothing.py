@@ -129,18 +129,6 @@ def find_contacts(
     return Contacts(touching, place, floor)
 
 
-def contact_terms(contacts: Contacts, soles: Landmarks) -> list[list[PointTerm]]:
-    """Build the solver terms that hold the soles at their contacts.
-
-    soles: the four points on the body (`soles_of`).
-    Returns: one list of terms per frame; empty where no point is in contact.
-    """
-    return [
-        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], ContactSettings.hold)]
-        for on, place in zip(contacts.touching, contacts.place, strict=True)
-    ]
-
-
 def sliding(positions: Array, contacts: Contacts, frame_rate: float) -> float:
     """Measure the sliding of the soles' points (T, 4, 3), m, over given contacts.
 
@@ -484,7 +472,11 @@ def with_feet(
     known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
     soles = soles_of(body)
     contacts = find_contacts(soles.positions(body, free), known, rate)
-    poses = held(contact_terms(contacts, soles))
+    standing = [
+        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], ContactSettings.hold)]
+        for on, place in zip(contacts.touching, contacts.place, strict=True)
+    ]
+    poses = held(standing)
     spread = gap_covariance(body, poses, own, rate, settings)
     seen = np.where(known[:, None, None, None], motion.joint_covariance, np.nan)
     around = (interpolated(seen) + spread).astype(np.float32)

@@ -82,9 +82,9 @@ class ViewBackground:
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
-        update is long enough ago.
+        update is a second ago.
         """
-        return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
+        return self.background is not None and time - self._learnt >= 1.0
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Update the background to slow changes of the scene; call it when an update is due.

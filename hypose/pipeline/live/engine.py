@@ -140,7 +140,7 @@ class LiveEngine:
         self.ended = threading.Event()
         self.failed: BaseException | None = None
         self._capture: CaptureProcess | None = None
-        self._executor = ThreadPoolExecutor(min(people, SETTINGS.engine_searches), thread_name_prefix="start")
+        self._executor = ThreadPoolExecutor(min(people, 2), thread_name_prefix="start")
         self._work = BackgroundWork() if measure else None
         self._people = self._new_people()
         self._areas: deque[NDArray[np.int64]] = deque(maxlen=SETTINGS.engine_history)
@@ -227,7 +227,7 @@ class LiveEngine:
             if phase == STATE_TRACKING and p.motion.poses is not None
         )
         # leave the processor to a search: make no more instants than it uses
-        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
+        pause = 0.5 / SETTINGS.people_fit_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         learn, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
         return CaptureRequest(
