@@ -67,11 +67,11 @@ def chosen_pixels(sampler: PixelSampler, example: Example, positives: int, negat
     surface = sampler.surface(e.depth, e.x, e.y)
     if surface is None:
         return []
-    scale = e.lens.fx / surface
+    scale, own = e.lens.fx / surface, (surface - s.surface_mm, surface + s.surface_mm)
     return [
-        (sampler.inside(e.depth, e.x, e.y, scale, surface, positives), e.gesture),
+        (sampler.ring(e.depth, e.x, e.y, (0.0, s.box_mm * scale), positives, own), e.gesture),
         (sampler.anywhere(e.depth, negatives, (e.x, e.y, s.clear_mm * scale)), BACKGROUND),
-        (sampler.rim(e.depth, e.x, e.y, scale), BACKGROUND),
+        (sampler.ring(e.depth, e.x, e.y, (s.rim_mm * scale, s.clear_mm * scale), s.around), BACKGROUND),
     ]
 
 

@@ -177,16 +177,21 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
     Returns: derivatives (3, K) of the logarithm of each size by the log factors; means (3,) of these logarithms
         relative to the body, which are 0; and their standard deviations (3,).
     """
-    lengths = body.segment_lengths()
-    ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
-    th, sh, torso = lengths["left_thigh"], lengths["left_shank"], lengths["torso"]
-    rows = np.zeros((3, len(SHAPE_FACTORS)))
-    rows[0, [entity("upper arm length"), entity("forearm length")]] = np.array([ua, fa]) / (ua + fa)
-    rows[1, [entity("thigh length"), entity("shank length")]] = np.array([th, sh]) / (th + sh)
-    parts = [entity("torso length"), entity("thigh length"), entity("shank length")]
-    rows[2, parts] = np.array([torso, th, sh]) / (torso + th + sh)
-    sd = [np.sqrt(TABLE_2_1[n][1]) / TABLE_2_1[n][0] for n in ("arms", "legs", "shoulder height")]
-    return rows, np.zeros(3), np.array(sd)
+    lengths, rows = body.segment_lengths(), np.zeros((len(_SUMS), len(SHAPE_FACTORS)))
+    for row, parts in zip(rows, _SUMS.values(), strict=True):
+        own = np.array([lengths[segment] for segment in parts.values()])
+        row[[entity(f"{part} length") for part in parts]] = own / own.sum()
+    sd = [np.sqrt(TABLE_2_1[n][1]) / TABLE_2_1[n][0] for n in _SUMS]
+    return rows, np.zeros(len(rows)), np.array(sd)
+
+
+_LEG = {"thigh": "left_thigh", "shank": "left_shank"}
+# sizes of Table 2.1 that are sums of segments: entity, and segment of the body, of each
+_SUMS = {
+    "arms": {"upper arm": "left_upper_arm", "forearm": "left_forearm"},
+    "legs": _LEG,
+    "shoulder height": {"torso": "torso", **_LEG},
+}
 
 
 def entity(name: str) -> int:

@@ -226,7 +226,7 @@ def board_views(gray: Gray, size: tuple[int, int], largest: int) -> Iterator[tup
     Returns: an iterator over grey pictures and their image_from_view (3, 3).
     """
     scale = min(1.0, largest / max(gray.shape))
-    small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    small = np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
     move = 0.5 / scale - 0.5
     image_from_small = np.array([[1 / scale, 0.0, move], [0.0, 1 / scale, move], [0.0, 0.0, 1.0]])
     yield small, image_from_small
@@ -238,7 +238,10 @@ def board_views(gray: Gray, size: tuple[int, int], largest: int) -> Iterator[tup
         sheet = cv2.warpPerspective(
             small, sheet_from_small, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        yield _gray(sheet), np.asarray(image_from_small @ np.linalg.inv(sheet_from_small), dtype=np.float64)
+        yield (
+            np.asarray(sheet, np.uint8),
+            np.asarray(image_from_small @ np.linalg.inv(sheet_from_small), dtype=np.float64),
+        )
 
 
 def _sheets(gray: Gray) -> list[Array]:
@@ -321,7 +324,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
     if sheet_from_image is None:
         return corners
     zoom = cell / largest
-    picture = gray if zoom > 0.7 else _gray(cv2.GaussianBlur(gray, (0, 0), 0.5 / zoom))
+    picture = gray if zoom > 0.7 else np.asarray(cv2.GaussianBlur(gray, (0, 0), 0.5 / zoom), np.uint8)
     shape = ((nx + 2) * cell, (ny + 2) * cell)
     sheet = cv2.warpPerspective(
         picture, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
@@ -400,7 +403,3 @@ def edge_width(gray: Gray, corners: Array) -> float:
         if contrast > 8 and steep > 0:
             widths.append(contrast / float(steep))
     return float(np.median(widths)) if widths else float("nan")
-
-
-def _gray(image: object) -> Gray:
-    return np.asarray(image, dtype=np.uint8)

@@ -72,7 +72,7 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     path = Path(path)
     document = read_toml(path, "a TOML file of scene points")
     unknown = set(document) - {"unit", "points", "clicks"}
-    unit, tables = document.get("unit", "m"), document.get("clicks")
+    unit, tables = document.get("unit", "m"), document.get("clicks", {})
     faults = {
         f"{', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA]": unknown,
         f"unit must be m, cm or mm, got {unit!r}; correct it": unit not in UNITS,
@@ -83,7 +83,6 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     refuse(f"{path}: ", faults)
     points = {n: UNITS[unit] * v for n, v in _vectors(path, "points", document.get("points"), 3).items()}
     clicks, sizes = {}, {}
-    assert isinstance(tables, dict)  # or the faults would have ended this
     for camera, table in tables.items():
         entries = dict(table) if isinstance(table, dict) else {}
         size = entries.pop("size", None)

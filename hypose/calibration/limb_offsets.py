@@ -255,11 +255,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
     """List the usable masks (h, w) of one view in each frame, without padding; None where there is none."""
-    out: list[NDArray[np.uint8] | None] = []
-    for s in silhouettes:
-        if s is None or not s.usable[view]:
-            out.append(None)
-        else:
-            w, h = s.rig[view].size
-            out.append(s.masks[view, :h, :w])
-    return out
+    return [
+        s.masks[view, : s.rig[view].size[1], : s.rig[view].size[0]] if s is not None and s.usable[view] else None
+        for s in silhouettes
+    ]

@@ -246,26 +246,22 @@ def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
     return [replace(c, camera_from_world=poses[i]) for i, c in enumerate(cameras)]
 
 
-_Sightings = dict[int, dict[int, BoardDetection]]
-"""Detections by camera and frame."""
-
-
 def _numbered(
     cameras: Sequence[Camera],
     sightings: Sequence[Mapping[int, BoardDetection]],
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
-) -> tuple[_Sightings, dict[int, Array]]:
+) -> tuple[dict[int, dict[int, BoardDetection]], dict[int, Array]]:
     """Choose per frame the board pose of one camera with which the others agree best, and each camera's numbering for
     it.
 
     cameras: cameras in one world.
     sightings: detected boards per camera, by frame.
     poses: the two poses (4, 4) with their errors, px, of each board, per camera, by frame.
-    Returns: the detections, numbered alike, and world_from_board (4, 4) by frame.
+    Returns: the detections by camera and frame, numbered alike, and world_from_board (4, 4) by frame.
     """
     boards: dict[int, Array] = {}
-    out: _Sightings = {c: {} for c in range(len(cameras))}
+    out: dict[int, dict[int, BoardDetection]] = {c: {} for c in range(len(cameras))}
     caps = np.array([_CAP * camera.size[0] for camera in cameras])
     for f in sorted({f for seen in sightings for f in seen}):
         who = [c for c in range(len(cameras)) if f in sightings[c]]

@@ -136,21 +136,16 @@ def _inside(folder: Path, what: str) -> list[Path]:
     Raises: InputError where there are none.
     """
     entries = sorted(folder.iterdir(), key=lambda p: natural_key(p.name))
-    videos = [p for p in entries if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
-    if videos:
-        return videos
     folders = [p for p in entries if p.is_dir()]
-    with_photos = [p for p in folders if list_images(p)]
-    if with_photos:
-        return with_photos
-    with_videos = [v for p in folders for v in sorted(p.iterdir()) if v.suffix.lower() in VIDEO_ENDINGS]
-    if with_videos and len(with_videos) == len({v.parent for v in with_videos}):
-        return with_videos
-    if list_images(folder):
-        return [folder]
-    raise InputError(
-        f"{folder} holds no {what}: one video per camera, or one folder of photos per camera, is expected in it."
-    )
+    videos = [p for p in entries if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
+    within = [v for p in folders for v in sorted(p.iterdir()) if v.suffix.lower() in VIDEO_ENDINGS]
+    one_each = within if len(within) == len({v.parent for v in within}) else []
+    photos = [p for p in folders if list_images(p)] or one_each or ([folder] if list_images(folder) else [])
+    if not videos and not photos:
+        raise InputError(
+            f"{folder} holds no {what}: one video per camera, or one folder of photos per camera, is expected in it."
+        )
+    return videos or photos
 
 
 def look_for_board(

@@ -73,20 +73,6 @@ class PixelSampler:
     rng: np.random.Generator
     settings: LearnSettings
 
-    def inside(self, depth: DepthImage, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
-        """Draw n pixels of the gesture's own surface around the marked point (x, y).
-
-        scale: px per mm at the point.
-        surface: depth of the point, mm.
-        """
-        s = self.settings
-        return self.ring(depth, x, y, (0.0, s.box_mm * scale), n, (surface - s.surface_mm, surface + s.surface_mm))
-
-    def rim(self, depth: DepthImage, x: float, y: float, scale: float) -> Pixels:
-        """Draw pixels around the gesture, between rim_mm and clear_mm of (x, y); scale: px per mm there."""
-        s = self.settings
-        return self.ring(depth, x, y, (s.rim_mm * scale, s.clear_mm * scale), s.around)
-
     def ring(
         self,
         depth: DepthImage,
@@ -188,9 +174,10 @@ class Learner:
             return None
         scale, hard = lens.fx / surface, 0
         found, clear = localise(depth, lens, [self.forest], s.look, self.scratch)[0], (x, y, s.clear_mm * scale)
-        positives = self._learn(draw.inside(depth, x, y, scale, surface, s.positives), GESTURE)
+        own = surface - s.surface_mm, surface + s.surface_mm
+        positives = self._learn(draw.ring(depth, x, y, (0.0, s.box_mm * scale), s.positives, own), GESTURE)
         others = self._learn(draw.anywhere(depth, s.random, clear), BACKGROUND)
-        others += self._learn(draw.rim(depth, x, y, scale), BACKGROUND)
+        others += self._learn(draw.ring(depth, x, y, (s.rim_mm * scale, clear[2]), s.around), BACKGROUND)
         old = found.score if self.strength is None else self.strength
         self.strength = 0.9 * old + 0.1 * found.score
         if np.hypot(found.x - x, found.y - y) > clear[2]:
