@@ -25,7 +25,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.files import claimed, read_json
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
@@ -101,7 +101,6 @@ def correct(
     with claimed(folder.path), Stages() as progress:
         if folder.path.resolve() == results.resolve():
             raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
-        check_writable(folder.path)
         motion, body = _tracked_again(recording, ResultsFolder(results), correction, progress)
         TrackResult(motion, body, True, ()).save(folder.path)
         for name in each(progress, "export", names):
