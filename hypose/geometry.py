@@ -246,7 +246,38 @@ def procrustes(
     return se3(k * r, cb - k * r @ ca), k
 
 
+def far_apart(points: Array, first: int, count: int, apart: float = 0.0) -> list[int]:
+    """Choose points that lie as far from each other as possible (farthest-point sampling).
+
+    points: (N, D) of any space.
+    first: index of the point that is chosen first.
+    count: largest number of points.
+    apart: least distance of a point from those chosen before; nearer ones are left out.
+    Returns: indices in increasing order.
+    """
+    chosen, distance = [first], np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < min(count, len(points)) and distance.max() > apart:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return sorted(chosen)
+
+
 def runs(flags: NDArray[np.bool_]) -> list[range]:
     """Find the consecutive marked frames in flags (T,), as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
     return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def interpolated(values: ArrayLike) -> Array:
+    """Fill unknown frames (NaN) of each number in values (T, ...) by linear interpolation in time.
+
+    Before the first and after the last known frame the value of that frame is taken; numbers that are never known stay
+    NaN.
+    """
+    out = np.array(values, dtype=np.float64)
+    frames, columns = np.arange(len(out)), out.reshape(len(out), -1)
+    for column in columns.T:
+        known = np.isfinite(column)
+        if known.any() and not known.all():
+            column[:] = np.interp(frames, frames[known], column[known])
+    return out

@@ -213,7 +213,7 @@ def write_good(folder: Path) -> None:
     from hypose.io.motions.export import export_motion
     from hypose.io.motions.results import Checkpoint, save_body, save_motion
     from hypose.io.sensors.depth import write_depth_png
-    from hypose.io.videos.video import VideoWriter
+    from hypose.io.videos.video import writing_video
     from hypose.pipeline.gesture_files import save_model
     from hypose.synthetic.scenes import camera_rig
 
@@ -237,7 +237,7 @@ def write_good(folder: Path) -> None:
     for ending in ("obj", "ply", "stl"):
         ball.export(folder / f"person.{ending}")
     write_depth_png(folder / "depth.png", 1.0 + rng.random((24, 32)))
-    with VideoWriter(folder / "clip.avi", 25.0, (32, 24)) as writer:
+    with writing_video(folder / "clip.avi", 25.0, (32, 24)) as writer:
         for _ in range(4):
             writer.write(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
     write_gesture_session(folder / "session", "wave")

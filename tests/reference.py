@@ -51,9 +51,7 @@ def rasterize(
 
     A pixel is set when its centre lies in the image of any triangle that lies beyond the near plane. Half open: a
     triangle covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so
-    meshes that share vertices leave no gap and count no pixel twice.
-    one_sided: only triangles whose outside is seen.
-    """
+    meshes that share vertices leave no gap and count no pixel twice. one_sided: only triangles seen from outside."""
     homogeneous = vertices @ projection[:, :3].T + projection[:, 3]
     safe = homogeneous[faces[(homogeneous[faces, 2] >= NEAR).all(1)]]
     drawn = safe[..., :2] / safe[..., 2:]

@@ -25,7 +25,7 @@ from hypose.evidence.prefetch import look_ahead
 from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.videos.video import VideoWriter, open_video
+from hypose.io.videos.video import open_video, writing_video
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.write_recording import write_scene
@@ -203,7 +203,7 @@ def enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
             made[kind] = folder / f"{view.name}-{kind}.mp4"
             with open_video(view.files[kind]) as reader:
                 size = (round(reader.size[0] * factor) // 2 * 2, round(reader.size[1] * factor) // 2 * 2)
-                with VideoWriter(made[kind], recording.frame_rate, size) as writer:
+                with writing_video(made[kind], recording.frame_rate, size) as writer:
                     for picture in reader:
                         writer.write(np.asarray(cv2.resize(picture, size), dtype=np.uint8))
         views.append(replace(view, files=made))

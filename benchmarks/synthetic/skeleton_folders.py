@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.io.sensors.skeleton_files import FolderWriter, SkeletonRecording
+from hypose.evidence.frame import SensorReport
+from hypose.io.sensors.skeleton_files import FolderWriter, SkeletonRecording, empty_report
 
 
 def write_folder(recording: SkeletonRecording, folder: str | Path) -> None:
@@ -16,8 +17,8 @@ def write_folder(recording: SkeletonRecording, folder: str | Path) -> None:
         for n, time in enumerate(s.times.tolist()):
             seen = np.flatnonzero(s.person_ids[n] >= 0)
             if not len(seen):
-                writer.add(s.name, time, None, s.joint_names, s.positions[n, 0], s.state[n, 0])
+                writer.add(empty_report(s.name, time))
             for c in seen.tolist():
                 person = int(s.person_ids[n, c])
-                writer.add(s.name, time, person, s.joint_names, s.positions[n, c], s.state[n, c])
+                writer.add(SensorReport(s.name, time, person, s.joint_names, s.positions[n, c], s.state[n, c]))
     writer.close()

@@ -96,14 +96,6 @@ def nearest(n, u, v, number, place, low, points, found):
 
 
 @kernel
-def _lengths(n, lines):
-    """Compute the lengths of n lines (5, E) f4 px into the last row."""
-    for e in range(n):
-        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
-        lines[4, e] = math.sqrt(dx * dx + dy * dy)
-
-
-@kernel
 def _spread(n, lengths, spacing, edge, along):
     """Place points every `spacing` px along n edges of these lengths, one edge after the other.
 
@@ -358,8 +350,10 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
         sum_strip(ws.difference, s, stride, height, s >> 3, stride >> 3, None, None, own, None)
     for x in range(width):
         ws.difference[height, x] = 0
-    _lengths(n, lines)
     length = f4(0)
+    for e in range(n):  # a loop of its own, which is vectorised
+        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
+        lines[4, e] = math.sqrt(dx * dx + dy * dy)
     for e in range(n):
         length += lines[4, e]
     step = 2 if contours.row_spacing_px >= 2 else 1  # only every second outline point makes a forward row

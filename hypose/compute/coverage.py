@@ -160,18 +160,6 @@ def _row_of_views(p, at, x, y, z):
 
 
 @kernel
-def _front_views(uv, a, b, c):
-    """Test whether a triangle is clockwise in each view: bit k of the result is that of view k.
-
-    a, b, c: its vertices, rows of uv (V, 2, VIEWS) f4.
-    """
-    i, j, k = a * (2 * VIEWS), b * (2 * VIEWS), c * (2 * VIEWS)
-    ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
-    va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
-    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
-
-
-@kernel
 def project_views(vertices, projections, first, q, p, turned, uv, bounds):
     """Project vertices into VIEWS views, from view `first` on (the last view is repeated).
 
@@ -198,7 +186,10 @@ def front_views(faces, uv, front):
     front: (F,) u1 gets 1 in bit k where this is so in view k.
     """
     for f in range(faces.shape[0]):
-        front[f] = _front_views(uv, faces[f, 0], faces[f, 1], faces[f, 2])
+        i, j, k = faces[f, 0] * (2 * VIEWS), faces[f, 1] * (2 * VIEWS), faces[f, 2] * (2 * VIEWS)
+        ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
+        va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
+        front[f] = bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))  # clockwise in the picture
 
 
 @kernel
@@ -303,19 +294,6 @@ def _row_of_lanes(p, at, x, y, z):
 
 
 @kernel
-def front_lanes(u, v, a, b, c):
-    """Find the lanes in which a triangle is clockwise, so that its outside faces the camera.
-
-    u, v: (V, LANES) px.
-    a, b, c: indices of its vertices.
-    Returns: a bit per lane, that of lane l in bit l.
-    """
-    ua, ub, uc = load(u, a * LANES, LANES), load(u, b * LANES, LANES), load(u, c * LANES, LANES)
-    va, vb, vc = load(v, a * LANES, LANES), load(v, b * LANES, LANES), load(v, c * LANES, LANES)
-    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
-
-
-@kernel
 def prepare_edge(u, v, a, b, window, edge, columns):
     """Prepare the edge from vertex a to b in every lane: where it starts in the lane's window, and its slope.
 
@@ -415,7 +393,10 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
     """
     full = u4(0)
     for f in range(mesh.faces.shape[0]):
-        front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
+        a, b, c = mesh.faces[f, 0] * LANES, mesh.faces[f, 1] * LANES, mesh.faces[f, 2] * LANES
+        ua, ub, uc = load(u, a, LANES), load(u, b, LANES), load(u, c, LANES)
+        va, vb, vc = load(v, a, LANES), load(v, b, LANES), load(v, c, LANES)
+        front[f] = bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))  # clockwise: its outside faces the camera
     front[mesh.faces.shape[0]] = 0  # the missing neighbour of an open edge
     n = 0
     for e in range(mesh.edges.shape[0]):

@@ -240,6 +240,23 @@ def toml_lines(table: Mapping[str, Any]) -> list[str]:
     return [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if value is not None]
 
 
+def toml_text(document: Mapping[str, Any]) -> str:
+    """Format a document as TOML: its values, then each table as [key], and each list of tables as [[key]]s.
+
+    Values that are None are left out.
+    """
+    blocks = [toml_lines({key: value for key, value in document.items() if not _tables_in(value)})]
+    for key, value in document.items():
+        heading = f"[[{key}]]" if isinstance(value, list) else f"[{toml_key(key)}]"
+        blocks += [[heading, *toml_lines(table)] for table in _tables_in(value)]
+    return "\n\n".join("\n".join(lines) for lines in blocks if lines) + "\n"
+
+
+def _tables_in(value: Any) -> list[Mapping[str, Any]]:
+    """List the tables of a list, or the one table that a value is; empty for other values."""
+    return [table for table in (value if isinstance(value, list) else [value]) if isinstance(table, Mapping)]
+
+
 # ---- writing -----------------------------------------------------------------------------------------------
 
 
@@ -348,7 +365,7 @@ class RecordingFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._tables: dict[str, os.stat_result] = {}
+        self._tables: list[IO[str]] = []
         with self.writing():
             if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
                 what = "a file" if self.path.is_file() else "not empty"
@@ -370,22 +387,34 @@ class RecordingFolder:
         with self.writing():
             stream = (self.path / name).open("x", encoding="utf-8", newline="\n")
             stream.write(",".join(header) + "\n")
-            self._tables[name] = os.fstat(stream.fileno())
+            self._tables.append(stream)
         return stream
 
-    def check(self) -> None:
-        """Check that no CSV file was removed or replaced after it was opened.
+    def flush(self) -> None:
+        """Flush the CSV files to the system.
 
-        Raises: InputError where one was, because all rows written since then are lost.
+        Raises: InputError where they cannot be written, or one was removed or replaced after it was opened, because all
+            rows written since then are lost.
         """
-        for name, opened in self._tables.items():
+        for stream in self._tables:
+            with self.writing():
+                stream.flush()
             with contextlib.suppress(OSError):
-                if os.path.samestat(opened, os.stat(self.path / name)):
+                if os.path.samestat(os.fstat(stream.fileno()), os.stat(stream.name)):
                     continue
             raise InputError(
-                f"The recording is lost: {self.path / name} was removed or replaced while it was written; record "
-                "again, to another folder."
+                f"The recording is lost: {stream.name} was removed or replaced while it was written; record again, to "
+                "another folder."
             )
+
+    def close(self) -> None:
+        """Flush and close the CSV files; InputError as `flush`."""
+        try:
+            self.flush()
+        finally:
+            with self.writing(), contextlib.ExitStack() as stack:
+                for stream in self._tables:
+                    stack.callback(stream.close)
 
 
 # ---- text in -------------------------------------------------------------------------------------------------------
@@ -655,3 +684,9 @@ def last_number(name: str) -> int | None:
     """
     digits = re.findall(r"[0-9]+", name)
     return int(digits[-1]) if digits and len(digits[-1]) <= 15 else None
+
+
+def distinct_numbers(paths: Sequence[Path]) -> list[int] | None:
+    """Read the last number in the name of each file; None where one is missing or repeated."""
+    numbers = [n for p in paths if (n := last_number(p.stem)) is not None]
+    return numbers if len(set(numbers)) == len(paths) else None

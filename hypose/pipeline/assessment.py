@@ -224,7 +224,7 @@ def assess(
     least = max(2, round(SETTINGS.verdict_few_s * motion.frame_rate))
     marked = tuple(runs(frames))
     stretches = tuple(r for r in marked if len(r) >= least and _worth_a_look(motion, low_confidence, r))
-    if frames.mean() > SETTINGS.verdict_limb_share:
+    if frames.mean() > 0.5:
         stretches = marked
     if looks and not stretches:
         return Assessment(LOOK, tuple(found), (range(len(motion)),))
@@ -268,7 +268,7 @@ def _unreliable_joints(
         low_confidence[seen].sum(0), 1
     )
     lasting = low_confidence[seen].sum(0) >= LIMB_S * motion.frame_rate
-    found = np.flatnonzero((often > SETTINGS.verdict_limb_share) & lasting & (likely >= least))
+    found = np.flatnonzero((often > 0.5) & lasting & (likely >= least))
     bad = np.array([j for j in found if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)

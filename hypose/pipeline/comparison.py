@@ -249,7 +249,7 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
         if o.align and names:
             mirrored = theirs * [1.0, -1.0, 1.0]
             turned, less = _offset(ours.times, other.times, [(mine, mirrored, 0.02), *angles], True)
-            if less < SETTINGS.compare_mirrored * cost:
+            if less < 0.5 * cost:
                 theirs, offset = mirrored, turned
                 notes.append(f"The world of {other.path.name} is left-handed: it is mirrored before the comparison.")
     if abs(offset) > 0.5 * _frame(ours.times) and o.offset is None:
@@ -449,7 +449,10 @@ def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved
     with _never_seen():
         offsets = np.nan_to_num(np.nanmedian(local, 0))
     constant = np.einsum("tjab,jb->tja", axes, offsets)
-    covered = np.stack(_covered(ours, index, mine, moved - constant), 1)
+    covariance = np.array(ours.joint_covariance, dtype=np.float64)[:, index]
+    covariance[~np.isfinite(covariance).all((-1, -2))] = np.nan
+    inside = coverage(mine, covariance, moved - constant, SETTINGS.compare_levels)
+    covered = np.stack([inside[level] for level in SETTINGS.compare_levels], 1)
     found = [
         _agreement(n, "mm", 1e3 * mine[:, j], 1e3 * moved[:, j], 1e3 * constant[:, j], tuple(covered[j].tolist()))
         for j, n in enumerate(names)
@@ -468,14 +471,6 @@ def _segment_axes(ours: Motion, index: list[int]) -> Array:
     axes = np.full((len(ours), len(JOINT_NAMES), 3, 3), np.nan)
     axes[finite] = skeleton.forward(ours.poses[finite])[0]
     return axes[:, CARRIERS[index]]
-
-
-def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tuple[Array, ...]:
-    covariance = np.array(ours.joint_covariance, dtype=np.float64)[:, index]
-    fine = np.asarray(np.isfinite(covariance).all((-1, -2)))
-    safe = np.where(fine[..., None, None], covariance, np.nan)
-    found = coverage(mine, safe, theirs, SETTINGS.compare_levels)
-    return tuple(found[level] for level in SETTINGS.compare_levels)
 
 
 def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:

@@ -20,7 +20,6 @@ from hypose.body.skeleton import Skeleton
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
-from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array, runs
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.covariance_calibration import beyond_usual
@@ -97,7 +96,7 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
         if before.masks.shape != masks.masks.shape:
             continue
         out = np.full(len(masks.masks), np.nan, np.float32)
-        now, then = prepared_masks(masks), prepared_masks(before)  # packed already, for the tracker
+        now, then = masks.prepared, before.prepared
         for c in np.flatnonzero(masks.usable & before.usable):
             differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
             out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
@@ -187,8 +186,6 @@ def find_anomalies(
     worse = _worse(overlap, known, frame_rate)
     for c, name in enumerate(names):
         out += [repeated[1 + c], (f"{name} disagrees with the other views", worse[:, c])]
-    doubted = np.any([frames for _, frames in out], axis=0)
-    out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
 
 
@@ -260,26 +257,6 @@ def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -
     return np.asarray(closed, dtype=bool)
 
 
-def _not_back(
-    overlap: Array, doubted: NDArray[np.bool_], known: NDArray[np.bool_], frame_rate: float
-) -> NDArray[np.bool_]:
-    """Find frames (T,) after doubtful frames in which the overlap stays below that of the good frames before. Why: the
-    disturbance may have turned the body around or displaced an arm.
-    """
-    out = np.zeros(len(known), dtype=bool)
-    half = max(3, round(0.5 * frame_rate))
-    seen = known & np.isfinite(overlap).any(1)
-    mean = np.zeros(len(known))
-    mean[seen] = np.nanmean(overlap[seen], 1)
-    smooth, limit = median_filter(mean, half, mode="nearest"), float("nan")
-    for t in range(1, len(out)):
-        if doubted[t] and not (doubted[t - 1] or out[t - 1]):
-            good = seen[:t] & ~doubted[:t] & ~out[:t]
-            limit = float(np.median(mean[:t][good])) - SETTINGS.anomaly_less if good.sum() >= half else float("nan")
-        out[t] = smooth[t] < limit and not doubted[t] and (doubted[t - 1] or out[t - 1])
-    return out
-
-
 def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
     """Find frames (T, C) in which one view's overlap is far below its usual one while that of the other
     views is not.
@@ -342,7 +319,7 @@ def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton,
     Returns: (C,); NaN where the body touches nothing or a mask is not usable.
     """
     points = _points(skeleton, joints)
-    cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
+    cameras, seen, then = now.rig, now.prepared, before.prepared
     step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
     out = np.full(len(cameras), np.nan, np.float32)
     for c in np.flatnonzero(now.usable & before.usable).tolist():

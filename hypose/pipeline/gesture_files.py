@@ -85,13 +85,6 @@ class RecordedFrame:
     x: float
     y: float
 
-    def depth(self) -> DepthImage:
-        """Read the picture (h, w), uint16 mm.
-
-        Raises: InputError names the file that cannot be read.
-        """
-        return np.rint(read_depth_png(self.file) * 1000).astype(np.uint16)
-
 
 @dataclass(frozen=True)
 class GestureRecording:
@@ -136,9 +129,10 @@ class GestureRecording:
     def picture(self, frame: RecordedFrame) -> DepthImage:
         """Read a frame's picture (h, w), uint16 mm.
 
-        Raises: InputError where it is no depth in millimetres, or has another size than the recording.
+        Raises: InputError names the file that cannot be read, is no depth in millimetres, or has another size than the
+            recording.
         """
-        depth = millimetres(frame.depth(), str(frame.file))
+        depth = millimetres(np.rint(read_depth_png(frame.file) * 1000).astype(np.uint16), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
             raise InputError(
                 f"{frame.file} has {depth.shape[1]} x {depth.shape[0]} pixels, session.json says {self.size[0]} x "
@@ -160,7 +154,9 @@ def read_recording(folder: str | Path) -> GestureRecording:
             raise InputError(f'{path} is no gesture session; it must say "format": "{_FORMAT}", "version": 1.')
         gestures, lens = tuple(map(str, value["gestures"])), DepthLens(*map(float, value["lens"]))
         width, height = map(int, value["size"])
-    frames, undone = _read_frames(folder, len(gestures)), _undone(folder / "actions.csv")
+    frames, actions = _read_frames(folder, len(gestures)), folder / "actions.csv"
+    rows = [line.split(",") for line in text_lines(actions, "an actions.csv")] if actions.exists() else []
+    undone = frozenset(int(row[2]) for row in rows if len(row) == 3 and row[1] == "undo" and row[2].isdigit())
     return GestureRecording(folder, gestures, lens, (width, height), tuple(frames), undone)
 
 
@@ -190,11 +186,6 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
     if not out:
         raise InputError(f"{path} has no frames; record some.")
     return out
-
-
-def _undone(path: Path) -> frozenset[int]:
-    rows = [line.split(",") for line in text_lines(path, "an actions.csv")] if path.exists() else []
-    return frozenset(int(row[2]) for row in rows if len(row) == 3 and row[1] == "undo" and row[2].isdigit())
 
 
 class SessionWriter:
@@ -278,6 +269,4 @@ class SessionWriter:
             self._settle(0)
         finally:
             self._thread.shutdown()
-            self._frames.close()
-            self._actions.close()
-        self._folder.check()
+            self._folder.close()

@@ -26,13 +26,12 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
 from hypose.io.files import file_name, text_of
-from hypose.io.recordings.frames import FrameSettings, FrameStream
+from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.moved_sensors import solve_places
-from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList
@@ -150,20 +149,11 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
-            shared, many = list[str](), FrameSettings(silhouettes=recording.silhouettes, people=True)
-            for view, camera in zip(views, cameras, strict=True) if empty else ():
-                with FrameStream(_recording(folder, CameraRig((camera,)), [view], rate), many) as frames:
-                    if count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1:
-                        shared.append(view.name)
-            if shared:
-                first_s = SETTINGS.placing_looked_at / rate
-                raise type(error)(
-                    f"Several people stand before {' and '.join(shared)}, and the places of cameras are found from one "
-                    f"person alone: let one move before all of them for the first {first_s:.0f} s, and the "
-                    f"others come then. ({error})"
-                ) from error
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
-            raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
+            raise type(error)(
+                f"{error} One person alone must move before all cameras meanwhile; by their maps the cameras hang "
+                f"above the floor: {places}."
+            ) from error
         late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
         _arrange(folder, views, [order[skip:] for order, skip in zip(orders, late, strict=True)], cameras)
         # the lenses are those of the maps as they were written; the clips have smaller ones without distortion
@@ -349,8 +339,8 @@ def register_depth(
         + [c.camera_from_world @ se3_inverse(r.a_from_b) for c, r in zip(alone[1:], rough, strict=True)]
     )
     paired = _pairs(times, seconds, frame_rate)
-    for n in range(SETTINGS.placing_rounds):
-        progress("together", n, SETTINGS.placing_rounds)
+    for n in range(2):
+        progress("together", n, 2)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
         found = track_source(FrameList(frames, frame_rate), frame_rate, options, find_places=False)
@@ -358,7 +348,7 @@ def register_depth(
         assert motion.poses is not None
         about = (found.body, motion.poses, 1 - motion.cost, cameras, SETTINGS.placing_frames)
         cameras = solve_places(frames.__getitem__, *about)
-    progress("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
+    progress("together", 2, 2)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
     return RegisteredSensors(rig, seconds, tuple(rough))
 

@@ -59,7 +59,9 @@ def check_inputs(
         if held and not any(f.fault for f in found):
             found += _in_step(held, frame_rate, limits)
     elif masks and len(masks[0].rig) > 1 and not any(f.kind == "holes" for f in by_depth):  # masks have the same holes
-        found += _by_masks(masks, frames, limits)
+        found += up_by_cameras(masks[0].rig)
+        seen = MaskViews.of(masks)
+        found += gross_silhouettes(seen, replace(limits, gross=0.04)) or focal_findings(seen.rig, seen.of_some)
     return (*found, *by_depth)
 
 
@@ -126,13 +128,6 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     elif rig is keypoints[0].rig and not any(f.kind == "keypoint_set" for f in person):  # nothing else was wrong
         yield from focal_findings(rig, lambda cameras, kept: disagreement(cameras, pixels[kept]))
     yield from person
-
-
-def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:
-    """Check the masks of some frames."""
-    yield from up_by_cameras(silhouettes[0].rig)
-    seen = MaskViews.of(silhouettes)
-    yield from gross_silhouettes(seen, replace(o, gross=0.04)) or focal_findings(seen.rig, seen.of_some)
 
 
 # ---- passes ----------------------------------------------------------------------------------------------------------

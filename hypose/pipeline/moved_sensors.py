@@ -53,12 +53,10 @@ def moved_sensors(
             lambda k: source.frame(known[k]), body, poses[known], iou[known], reported, count, iterations
         )
 
+    # a rough check must exceed half of both limits before all is solved
     third = max(count // 3, least)
     ends = range(third), range(count - third, count)
-    if not any(
-        _off(reported, places(end, *SETTINGS.moved_rough), poses[end[len(end) // 2]], SETTINGS.moved_sure)
-        for end in ends
-    ):
+    if not any(_off(reported, places(end, *SETTINGS.moved_rough), poses[end[len(end) // 2]], 0.5) for end in ends):
         return (), ()
     first, last = places(ends[0]), places(ends[1])
     change = 0

@@ -302,16 +302,6 @@ def against_the_picture(share: Array) -> tuple[Finding, ...]:
     return (Finding("picture", (), text, size=float(np.nanmean(share))),)
 
 
-def depth_is_uncertain(modes: Modes) -> Finding:
-    """Make the finding that says how well depth is known, which one picture cannot show."""
-    sd = 1e3 * float(np.nanmedian(modes.depth_sd))
-    text = (
-        f"one camera does not measure depth, which is known to +-{sd:.0f} mm (1 sd, median) as far as the lens and the "
-        "person's size are right: see the notes"
-    )
-    return Finding("depth", (), text, size=sd, severity=REVIEW)
-
-
 def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     """Compute the share of the seen key points of the limbs that are farther than SETTINGS.picture_far times the
     person's size in the picture from those of a posed body.
@@ -370,7 +360,12 @@ def assess_picture(clip: ClipState) -> ClipState:
     low_confidence = low_confidence if before is None else before | low_confidence
     p = probability_by_spread(motion.joint_covariance).astype(np.float32)
     motion = replace(motion, low_confidence=low_confidence, error_probability=p)
-    found = *against_the_picture(deviation), depth_is_uncertain(clip.modes)
+    sd = 1e3 * float(np.nanmedian(clip.modes.depth_sd))
+    text = (
+        f"one camera does not measure depth, which is known to +-{sd:.0f} mm (1 sd, median) as far as the lens and the "
+        "person's size are right: see the notes"
+    )
+    found = *against_the_picture(deviation), Finding("depth", (), text, size=sd, severity=REVIEW)
     notes = (*clip.notes, depth_note(motion, clip.modes))
     return replace(clip, motion=motion, notes=notes).with_findings(*found)
 

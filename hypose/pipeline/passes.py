@@ -36,7 +36,7 @@ from hypose.pipeline.people import PeopleFinder
 from hypose.pipeline.retracking import backward_pass, correct_left_right, retrack_start
 from hypose.pipeline.sources import FrameSource, Places, tracked_frames
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.track_loop import StageProgress, TrackedPerson, TrackingSession, tracker_of
+from hypose.pipeline.track_loop import PeopleManager, StageProgress, TrackedPerson, TrackingSession, tracker_of
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
@@ -258,7 +258,7 @@ def session_of(clip: ClipState, checkpoint: bool = True) -> TrackingSession:
     return TrackingSession(
         list(clip.people),
         clip.frame_rate,
-        clip.finder,
+        clip.finder or PeopleManager(),
         path,
         provenance_identity(clip.record),
         clip.options.checkpoint_every,

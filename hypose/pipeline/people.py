@@ -21,11 +21,19 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.default_body import human
-from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.people import SOLVED_WIDENING, HullPerson, Other, own_frame, people_seen, views_to_find
+from hypose.evidence.people import (
+    SOLVED_WIDENING,
+    BodyShape,
+    DrawnShape,
+    HullPerson,
+    Other,
+    own_frame,
+    people_seen,
+    views_to_find,
+)
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.frame_anomalies import looked_at
@@ -35,6 +43,7 @@ from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.pipeline.subject import SubjectOptions, TrackedSubject, find_subject, fit_outlines, overlaps
 from hypose.pipeline.track_loop import (
     Member,
+    PeopleManager,
     StageProgress,
     TrackedPerson,
     TrackingSession,
@@ -73,17 +82,12 @@ class RoughTrack:
 
     body: body that was used.
     poses: pose (D,) by frame number.
-    rivals: other possible starts with their frame numbers.
+    rivals: other possible starts, two at most, with their frame numbers.
     """
 
     body: Body
     poses: Mapping[int, Array]
     rivals: tuple[tuple[int, Start], ...] = ()
-
-    def other(self, number: int, rig: CameraRig) -> Other | None:
-        """Return the shape of this person in a frame as a person who hides others; None where the pose is not known."""
-        pose = self.poses.get(number)
-        return None if pose is None else Other(body_shape(self.body, pose, rig), SETTINGS.path_others_widened)
 
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
         """List possible starts of the person: the start in the first of the frames `numbers`, and the rivals.
@@ -110,19 +114,14 @@ def frame_of_person(
     here = paths[who].found.get(number)
     if here is None:
         return frame.unseen()
-    others = [
-        other
-        for k, p in enumerate(paths)
-        if k != who and (other := _hiding(None if rough is None else rough[k], p.found.get(number), number, s.rig))
-    ]
-    return own_frame(frame, here.shape(s.rig), others)
-
-
-def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
-    known = None if rough is None else rough.other(number, rig)
-    return known or (
-        None if hull is None else Other(hull.shape(rig, SETTINGS.path_core_m), SETTINGS.path_others_widened)
-    )
+    shapes = list[BodyShape | DrawnShape]()
+    for k, p in enumerate(paths):
+        track, hull = None if rough is None else rough[k], p.found.get(number)
+        if k != who and track is not None and number in track.poses:
+            shapes.append(body_shape(track.body, track.poses[number], s.rig))
+        elif k != who and hull is not None:
+            shapes.append(hull.shape(s.rig, SETTINGS.path_core_m))
+    return own_frame(frame, here.shape(s.rig), [Other(shape, SETTINGS.path_others_widened) for shape in shapes])
 
 
 def least_hidden(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
@@ -184,7 +183,7 @@ def _rough(
     way = way_of(start, numbers.index(seen[at]), [own[t] for t in numbers], rate, seed)
     if way is None or way.cost > SETTINGS.rough_lost:
         return None
-    rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + SETTINGS.rough_rivals])
+    rivals = tuple((seen[w.at], w.start) for w in found.ways[1:3])
     return RoughTrack(start.body, dict(zip(numbers, way.poses, strict=True)), rivals)
 
 
@@ -286,7 +285,7 @@ def _again(
 
 
 @dataclass(frozen=True)
-class PeopleFinder:
+class PeopleFinder(PeopleManager):
     """Finder of the people in the frames of a source, for a session that tracks them together.
 
     frame_rate: Hz.
@@ -303,7 +302,7 @@ class PeopleFinder:
     count: int | None = None
     wanted: Sequence[KnownPerson] = ()
     points: KeypointPeople | None = None
-    alone = False
+    alone = False  # even where one person is found, the frames are those of all people
 
     # ---- the beginning -----------------------------------------------------------------------------------------
 
@@ -455,7 +454,7 @@ class PeopleFinder:
             session.settle()
             for p, q, since in update_appearance(people, seen):
                 swap_identities(p, q, since)
-        part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
+        part_doubles(people, self.frame_rate)
         if look:
             session.candidates = self._look(people, frame, t, session.candidates, session.progress)
 

@@ -133,11 +133,13 @@ def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
 # ---- several people ------------------------------------------------------------------------------------------------
 
 
-def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
-    """Return whether at least two views show people side by side in a share of the frames larger than `often`."""
+def several_apart(silhouettes: Sequence[Silhouettes], often: float = 0.5) -> bool:
+    """Return whether at least two views show people side by side in a share of the frames larger than `often`. One view
+    alone can be an arm, or a chair that a table cuts off.
+    """
     shown = [[u and _others_in_view(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
     usable = np.sum([s.usable for s in silhouettes], axis=0)
-    return int((np.sum(shown, axis=0) > often * np.maximum(usable, 1)).sum()) >= SETTINGS.several_views
+    return int((np.sum(shown, axis=0) > often * np.maximum(usable, 1)).sum()) >= 2
 
 
 def _others_in_view(mask: NDArray[np.uint8]) -> int:
@@ -148,7 +150,7 @@ def _others_in_view(mask: NDArray[np.uint8]) -> int:
         return 0
     area, height = parts[:, cv2.CC_STAT_AREA], parts[:, cv2.CC_STAT_HEIGHT]
     first = int(area.argmax())
-    large = parts[(area >= SETTINGS.several_large * area[first]) & (height >= SETTINGS.several_tall * height[first])]
+    large = parts[(area >= SETTINGS.several_large * area[first]) & (height >= 0.5 * height[first])]
     count, end = 0, -1
     for left, width in sorted(large[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_WIDTH]].tolist()):
         count += left > end

@@ -134,25 +134,6 @@ class TrackResult:
         there = {"there": self.spans} if self.name else {}
         results.write_json(ASSESSMENT_FILE, {**self.assessment.document(self.motion), **there})
 
-    @staticmethod
-    def of(clip: ClipState) -> TrackResult:
-        """Make the result from a clip after all passes have run."""
-        assert clip.motion is not None
-        return TrackResult(
-            clip.motion,
-            clip.who.body,
-            clip.complete,
-            clip.notes,
-            clip.modes,
-            clip.one_by_one,
-            clip.audit,
-            clip.findings,
-            clip.places,
-            clip.who.unsure,
-            name=clip.person.name,
-            present=np.array(clip.person.present, dtype=np.bool_) if clip.person.name else None,
-        )
-
 
 @dataclass(frozen=True)
 class PeopleResult:
@@ -232,4 +213,18 @@ def finish(clip: ClipState, alone: Sequence[Pass] = AFTER_TRACKING) -> TrackResu
         if not clip.estimates:
             raise
         clip = keep_interrupted(clip)
-    return TrackResult.of(clip)
+    assert clip.motion is not None
+    return TrackResult(
+        clip.motion,
+        clip.who.body,
+        clip.complete,
+        clip.notes,
+        clip.modes,
+        clip.one_by_one,
+        clip.audit,
+        clip.findings,
+        clip.places,
+        clip.who.unsure,
+        name=clip.person.name,
+        present=np.array(clip.person.present, dtype=np.bool_) if clip.person.name else None,
+    )

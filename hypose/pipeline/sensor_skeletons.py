@@ -124,12 +124,10 @@ SENSOR_JOINT_NAMES = (
 )
 
 
-def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0) -> tuple[Body, Motion]:
+def pose_fused(fused: Motion) -> tuple[Body, Motion]:
     """Fit a body with the person's bone lengths, and poses (T, 36), to fused joints.
 
     fused: motion of points (fusion.fuse.Fused.motion) in a world with z up, m.
-    body: the template; default: human().
-    smoothness: strength of the penalty on acceleration.
     Returns: body and motion; frames in which the person is lost are interpolated and stay marked as lost.
     Raises: InputError where no frame has enough joints.
     """
@@ -137,14 +135,14 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     points[np.asarray(fused.lost)] = np.nan
     if np.isfinite(points).all(-1).sum(1).max(initial=0) < 8:
         raise InputError("No frame of the fused motion has 8 joints; poses cannot be found from so few.")
-    subject = subject_from_keypoints(body or human(), points, SENSOR_JOINT_NAMES)
+    subject = subject_from_keypoints(human(), points, SENSOR_JOINT_NAMES)
     model = subject.keypoints
     known = np.flatnonzero(model.known)
     solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
     nearest = solved[np.abs(np.arange(len(points))[:, None] - solved).argmin(1)]
     terms = [[PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)] for p in points]
     prior = anatomical_prior(subject.body.skeleton)
-    poses = fit_clip(subject.body, subject.poses[nearest], terms, acceleration=smoothness, priors=(prior,))
+    poses = fit_clip(subject.body, subject.poses[nearest], terms, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
     names = [SENSOR_JOINT_NAMES[k] for k in known if SENSOR_JOINT_NAMES[k] in skeleton.joint_names]

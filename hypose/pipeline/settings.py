@@ -21,7 +21,6 @@ class PipelineSettings:
         (walking, boxing, waving, sitting down, serving; simulated, seed 5).
     compare_wrong_units: Factors by which a wrong unit makes lengths too long.
     compare_alike_lengths: Largest logarithm of a ratio of lengths (1.3) that people and definitions of joints explain.
-    compare_mirrored: A mirrored world must lower the cost to this share.
     compare_sentinel_frames, compare_sentinel_share: A position that repeats in more than so many frames, and in this
         share of them, marks a missing joint.
     contradiction_apart_m: Unusual contradictions between the views from which a clip is to be reviewed, and not to be
@@ -39,10 +38,8 @@ class PipelineSettings:
         anomaly_worse and by anomaly_spread times the usual spread, and that of the other views is not half as far below
         theirs. Chosen on clean walks (seeds 0 and 3).
     anomaly_stranger: Mask part apart from the body, as a share of the body's area, that counts as another person where
-        it is in two views and in half of all. Chosen, like anomaly_less, on walks with and without another person
+        it is in two views and in half of all. Chosen on walks with and without another person
         (seeds 10 to 13).
-    anomaly_less: Decrease of the mean overlap, compared with before a disturbance, from which tracking counts as not
-        recovered.
     anomaly_still: Usual change of a mask (share of its area) below which unchanged masks are no repeats: the person
         stands still.
     anomaly_still_points, anomaly_few_points: The same for key points, as a share of the person's size, above the
@@ -77,8 +74,6 @@ class PipelineSettings:
     gesture_telling: Number of first pictures that identify a session.
     path_surprise: Deviation of a person from the predicted motion, m/s.
     path_slack: Additional jump of the axis of a hull, m.
-    path_seen_share: Share of the looks in which a person must be found. Of two people whose arms touch, the hull
-        separates one in every other look.
     path_others_widened: Widening of another person's hull or rough body, as a share of its longer side.
     path_core_m: Radius about the axis within which another person's hull hides a person, m. The rest may be the
         person's own.
@@ -91,14 +86,12 @@ class PipelineSettings:
     placing_near: Time by which a map may be off its instant, as a share of a frame.
     placing_least_share: Share of a picture below which nothing is a person.
     placing_frames: Different poses that are solved together.
-    placing_rounds: Solves for all places and poses together.
     background_largest_lag_s: Largest delay of one camera relative to another, s.
     background_sure, background_gain: Largest standard deviation (frames) of an offset that is used, and least gain of
         half a log-likelihood compared with no offsets.
     engine_most_people: Most people that can be tracked at once: no computer keeps pace with more.
     engine_history: Mask areas that define the usual area, one every fifth instant.
     engine_latencies: Instants whose latencies are kept.
-    engine_searches: Most searches and duels at one time.
     engine_misses: Shares of lost pictures of a camera that are reported, in steps.
     capture_empty_s, capture_empty_pictures: Time (s) and pictures from which the empty room is learned.
     capture_other_shape: Relative difference of a picture's aspect ratio from the calibration's that is accepted.
@@ -117,7 +110,6 @@ class PipelineSettings:
     feeds_same: Largest time between a picture and the instant that it shows, as a share of a period.
     live_fitted_s: Motion that a body is fitted to, s.
     live_sync_s: Motion from which the cameras' offsets are estimated, s.
-    live_give_up_s: Time after which a lost person is searched as at the start, s.
     live_pace, live_other: Weight of a step in the running mean of the step time; ratio to the tracker's rate from which
         the tracker is changed.
     live_duel, live_won, live_give_up, live_shared: Duel with exchanged sides: most instants; sum over them of IoU that
@@ -128,19 +120,14 @@ class PipelineSettings:
     live_window_s, live_every_s, live_audit_hz: Time (s) that a frame is judged with; time (s) between two judgements;
         rate of audited frames. `hypose track` also uses later frames; live tracking cannot.
     live_rig_usual_rate: Rate of cameras that do not report one, Hz.
-    search_slowly_hz: Rate at which a start is searched and a body is fitted, Hz.
     search_gap_s: Time without pictures after which the motion before is not continued, s.
     search_decide, search_longest: Instants that decide on a start; most instants that are kept during a search.
-    search_plain: Mean IoU from which a start is accepted.
     search_least_area: Least share of a picture that a person takes.
-    search_again_s, search_seldom_s: Time after which another person is searched again, s: doubled after each failure,
-        and at most.
+    search_seldom_s: Longest time after which another person is searched again, s.
     processes_switch_s: Longest wait of a thread that takes or sends pictures for one that computes, s. Python's own 5
         ms are a large share of a frame's time.
     recorder_waiting: Most instants that wait to be written; more are left out and counted.
-    recorder_pause_s: Time between instants that counts as a pause of the recording, s.
     recorder_describe_s: Time after which the recording's description is updated, s.
-    scene_every_s: Time between two updates of the background, s.
     scene_light_s, scene_thing_s: Time constants of learning, s: where the picture resembles the room, and where it is
         neither the room nor the person.
     scene_sparse: Distance of the pixels from which the change of brightness is estimated, px.
@@ -167,8 +154,8 @@ class PipelineSettings:
         moved. The rotation about a person who does not turn is hardly visible (2.4 degrees with right cameras, in 1 s),
         and matters as little.
     moved_frames, moved_least_s: Poses from which places are solved; least time of an interval with constant places, s.
-    moved_rough, moved_sure: Poses and steps of a rough check, and the share of both limits above that it must exceed
-        before all is solved. With the right places, which are usual, this costs a fifth.
+    moved_rough: Poses and steps of a rough check before all is solved. With the right places, which are usual, this
+        costs a fifth.
     newcomer_left_share: Share of a tracked person's box that must be unexplained in the necessary views before the hull
         is searched.
     newcomer_higher_m: Limits of the height by which the hull of a person who returns may be lower (bent) or higher
@@ -190,25 +177,24 @@ class PipelineSettings:
         be trusted, and a frame is doubtful. Motions that lay on the person had 0.00 to 0.04, and 0.18 at most in a
         frame (four real cameras, four simulated); those with limbs elsewhere, or key points half a second late, 0.30 to
         0.65 (simulated).
-    several_large, several_tall: Share of the largest part's area, and of its height, from which a mask part counts as a
+    several_large: Share of the largest part's area from which a mask part of at least half of its height counts as a
         person: one who is nearly twice as far away.
-    several_often, several_now_and_then, several_views: Share of the frames in which a view must show several people,
-        without and with other evidence of them, and how many views must. One view alone can be an arm, or a chair that
-        a table cuts off.
+    several_now_and_then: Share of the frames in which a view must show several people where other evidence shows them
+        too.
     several_looks: Frames that are checked for several people.
     points_least_share: Least share of the frames in which a person's key points must be tracked for a result.
     people_near_m: Distance up to which key points, a hull or a body may belong to a person, m.
     people_start_s: Time at the beginning in which the first people are searched; longest time before the first frame at
         which a place still identifies a person, s.
     people_look_s: Time between two looks for a new person, who must be seen in two, s.
-    people_fit_s, people_fit_hz: Time (s) and rate (Hz) of the frames from which a body is fitted.
+    people_fit_s, people_fit_hz: Time (s) and rate (Hz) of the frames from which a body is fitted, and live a start
+        is searched.
     people_fewest: Least frames in which a new person must be found to be fitted.
     people_gone_s: Time without evidence after which a person has left, s.
     people_together_s: Two bodies that stay in one place for so long are one person, s.
     rough_hidden: Visible share of a body above which a view shows the person.
     rough_frames: Least frames from which a body is fitted, if there are so many, and most that decide on the rough
         start.
-    rough_rivals: Other starts that are tried again when the others' bodies are known.
     rough_lost: 1 - IoU from which a rough body counts as not found.
     sensor_apart_m: Median distances between the joints of two sensors from which a result is to be reviewed, and not to
         be trusted, m: 14 to 67 mm on 39 recordings of two real sensors; with one of them 15 % too
@@ -223,7 +209,7 @@ class PipelineSettings:
     choice_plain, choice_sure: Mean IoU and weight from which a start needs no other frame.
     choice_clearly: Mean IoU by which another frame's start must be better, where no other person hides anything.
     choice_later: Frames after a start that decide between its rivals; near enough that a person who walks is not lost.
-    choice_best, choice_likely: Most starts of a frame that are tracked through the others, and least weight of each.
+    choice_likely: Least weight of a start that is tracked through the other frames.
     choice_enough, choice_hopeless: After so many frames, additional mean cost at which a trial is stopped.
     choice_particles, choice_never_s: Particles of a short trial; time between two comparisons with rivals: never.
     stranger_looked_at: Longer side of the reduced masks in which parts are found, px; a limb stays two or three pixels
@@ -252,13 +238,12 @@ class PipelineSettings:
         body), 8 to 15 % above the given one.
     tracked_placed_m: Largest distance of a wanted person from the given place, m.
     verdict_wrong_share: Mean error probability over joints and frames from which the motion is not to be trusted.
-    verdict_limb_share: Share of the frames in which one joint is doubtful from which the motion is not to be trusted: a
-        user cannot judge the rest.
-    verdict_limb_p: Least mean error probability of the joint in those frames: joints are doubtful long before they are
-        likely wrong. On scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to .31 where the clip
-        was never wrong, .19 to .40 where it was for some frames, and .28 to .91 where a limb was wrong all along. Where
-        something else makes the whole clip doubtful, half of the frames are enough: that is so in no usual clip of
-        these seeds, and in three others, whose joints are off by 34 to 70 mm.
+    verdict_limb_p: Least mean error probability, in its doubtful frames, of a joint that is doubtful in more than half
+        of all frames, from which the motion is not to be trusted: a user cannot judge the rest. Joints are doubtful
+        long before they are likely wrong. On scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to
+        .31 where the clip was never wrong, .19 to .40 where it was for some frames, and .28 to .91 where a limb was
+        wrong all along. Where something else makes the whole clip doubtful, half of the frames are enough: that is so
+        in no usual clip of these seeds, and in three others, whose joints are off by 34 to 70 mm.
     trace_least_m: Smaller displacements of joints by a pass are not recorded, m.
     verdict_lost_share: Share of the frames without the person from which the motion is not to be trusted.
     verdict_few_s: Doubtful frames shorter than this are named but need no review, s.
@@ -280,7 +265,6 @@ class PipelineSettings:
     compare_apart_m: float = 0.08
     compare_wrong_units: tuple[float, ...] = (1000.0, 100.0, 39.37, 25.4, 10.0, 1.0, 0.01, 0.001)
     compare_alike_lengths: float = 0.26
-    compare_mirrored: float = 0.5
     compare_sentinel_frames: int = 5
     compare_sentinel_share: float = 0.05
     contradiction_apart_m: tuple[float, float] = (0.006, 0.015)
@@ -291,7 +275,6 @@ class PipelineSettings:
     anomaly_worse: float = 0.15
     anomaly_spread: float = 4.0
     anomaly_stranger: float = 0.15
-    anomaly_less: float = 0.06
     anomaly_still: float = 0.02
     anomaly_still_points: float = 0.0005
     anomaly_few_points: int = 6
@@ -319,7 +302,6 @@ class PipelineSettings:
     gesture_telling: int = 10
     path_surprise: float = 1.0
     path_slack: float = 0.25
-    path_seen_share: float = 0.5
     path_others_widened: float = 0.02
     path_core_m: float = 0.3
     path_gone_s: float = 0.8
@@ -330,14 +312,12 @@ class PipelineSettings:
     placing_near: float = 0.6
     placing_least_share: float = 0.003
     placing_frames: int = 24
-    placing_rounds: int = 2
     background_largest_lag_s: float = 0.4
     background_sure: float = 0.2
     background_gain: float = 6.0
     engine_most_people: int = 8
     engine_history: int = 11
     engine_latencies: int = 1800
-    engine_searches: int = 2
     engine_misses: tuple[float, float, float, float] = (0.05, 0.1, 0.2, 0.5)
     capture_empty_s: float = 2.0
     capture_empty_pictures: int = 12
@@ -360,7 +340,6 @@ class PipelineSettings:
     feeds_same: float = 0.55
     live_fitted_s: float = 3.6
     live_sync_s: float = 8.0
-    live_give_up_s: float = 2.0
     live_pace: float = 0.1
     live_other: float = 1.3
     live_duel: int = 25
@@ -373,19 +352,14 @@ class PipelineSettings:
     live_every_s: float = 0.2
     live_audit_hz: float = 10.0
     live_rig_usual_rate: float = 30.0
-    search_slowly_hz: float = 12.5
     search_gap_s: float = 1.0
     search_decide: int = 6
     search_longest: int = 250
-    search_plain: float = 0.5
     search_least_area: float = 0.002
-    search_again_s: float = 2.0
     search_seldom_s: float = 60.0
     processes_switch_s: float = 0.0005
     recorder_waiting: int = 90
-    recorder_pause_s: float = 1.0
     recorder_describe_s: float = 5.0
-    scene_every_s: float = 1.0
     scene_light_s: float = 10.0
     scene_thing_s: float = 30.0
     scene_sparse: int = 3
@@ -412,7 +386,6 @@ class PipelineSettings:
     moved_frames: int = 12
     moved_least_s: float = 0.6
     moved_rough: tuple[int, int] = (6, 3)
-    moved_sure: float = 0.5
     newcomer_left_share: float = 0.1
     newcomer_higher_m: tuple[float, float] = (-0.35, 0.5)
     newcomer_one_place_m: float = 0.2
@@ -430,10 +403,7 @@ class PipelineSettings:
     picture_deviation: float = 0.15
     picture_deviation_frame: float = 0.2
     several_large: float = 0.3
-    several_tall: float = 0.5
-    several_often: float = 0.5
     several_now_and_then: float = 0.25
-    several_views: int = 2
     several_looks: int = 7
     points_least_share: float = 0.1
     people_near_m: float = 0.6
@@ -446,7 +416,6 @@ class PipelineSettings:
     people_together_s: float = 0.3
     rough_hidden: float = 0.5
     rough_frames: int = 16
-    rough_rivals: int = 2
     rough_lost: float = 0.6
     sensor_apart_m: tuple[float, float] = (0.085, 0.15)
     sensor_late_s: float = 0.2
@@ -458,7 +427,6 @@ class PipelineSettings:
     choice_sure: float = 0.9
     choice_clearly: float = 0.02
     choice_later: tuple[int, ...] = (1, 2, 3, 4, 5)
-    choice_best: int = 2
     choice_likely: float = 0.05
     choice_enough: int = 6
     choice_hopeless: float = 0.04
@@ -481,7 +449,6 @@ class PipelineSettings:
     subject_no_worse: float = 1.02
     tracked_placed_m: float = 1.0
     verdict_wrong_share: float = 0.12
-    verdict_limb_share: float = 0.5
     verdict_limb_p: float = 0.35
     trace_least_m: float = 0.02
     verdict_lost_share: float = 0.3

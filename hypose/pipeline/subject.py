@@ -26,7 +26,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoints import lasting_m, triangulate_keypoints
 from hypose.fitting import fit_pose
 from hypose.fitting.articulated import SolveSettings
-from hypose.geometry import Array
+from hypose.geometry import Array, far_apart
 from hypose.inference.hypotheses import Hypotheses
 from hypose.io.files import toml_lines, write_text
 from hypose.io.motions.results import body_arrays, body_of_arrays, load_body, save_body
@@ -91,12 +91,6 @@ class SubjectOptions:
         allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
         if self.start not in allowed:
             raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
-        for name, value, low, high, unit in (
-            ("height", self.height, 0.5, 2.5, "m"),
-            ("mass", self.mass, 8.0, 350.0, "kg"),
-        ):
-            if value is not None and not low <= value <= high:
-                raise InputError(f"A {name} of {value:g} {unit} is no person's; give {low:g} to {high:g} {unit}.")
 
     @property
     def poses(self) -> Sequence[str]:
@@ -278,15 +272,7 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     local = np.einsum("tba,tjb->tja", rotations[:, 0], joints - joints[:, :1])
     heading = rotations[:, 0, :, 1] * 0.5
     feature = np.concatenate([local.reshape(len(poses), -1), heading], 1)
-    chosen = [max(allowed, key=lambda k: iou[k])]
-    gap = np.linalg.norm(feature - feature[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(allowed)):
-        new = max(allowed, key=lambda k: gap[k])
-        if gap[new] <= 0:
-            break
-        chosen.append(new)
-        gap = np.minimum(gap, np.linalg.norm(feature - feature[new], axis=1))
-    return sorted(chosen)
+    return [allowed[k] for k in far_apart(feature[allowed], int(np.argmax(iou[allowed])), count)]
 
 
 def overlaps(body: Body, poses: Array, frames: Sequence[Frame]) -> Array:

@@ -18,7 +18,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from hypose.errors import HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.people import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other, own_frame
-from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import Checkpoint
@@ -112,7 +111,6 @@ def step_together(
             ]
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
-            pack_once(own.the(Silhouettes))  # the tracker and the later audit both use them
         state, estimates[i] = m.tracker.step(m.state, own)
         after[i], seen[i], done[i] = replace(m, state=state), own, True
         for rig in rigs if not done.all() else ():
@@ -181,14 +179,6 @@ class TrackedPerson:
         start = tracker.start(subject.start if subject.rivals is None else subject.rivals)
         return TrackedPerson(name, subject, Member(tracker, start))
 
-    @property
-    def last_seen(self) -> tuple[Array, int] | None:
-        """Pose (D,) in the last frame in which the person was there, and the frames since then; None: never."""
-        for since, (estimate, there) in enumerate(zip(self.estimates[::-1], self.present[::-1], strict=True)):
-            if there:
-                return estimate.pose, since
-        return None
-
     def snapshot(self) -> dict[str, Any]:
         """Copy the values of all fields, for `vars(self).update`; later changes of this person do not reach them."""
         values = {n: list(v) if isinstance(v, list) else v for n, v in vars(self).items()}
@@ -216,23 +206,22 @@ class TrackedPerson:
         self.hidden.append(False)
 
 
-class PeopleManager(Protocol):
-    """Protocol of an object that manages people while they are tracked, of a recording or live."""
+class PeopleManager:
+    """Manager of the people of a session, of a recording or live. This class manages one person, who stays.
 
-    @property
-    def alone(self) -> bool:
-        """Whether there is at most one person, to whom all evidence of a frame belongs."""
-        ...
+    alone: there is at most one person, to whom all evidence of a frame belongs.
+    """
+
+    alone: bool = True
 
     def keypoints(self, people: Sequence[TrackedPerson], t: int, /) -> Sequence[Keypoints | None]:
-        """Return the key points of each person in frame t; empty: people are tracked without key points."""
-        ...
+        """Return the key points of each person in frame t; empty: people are tracked without key points, or alone."""
+        return ()
 
     def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame], /) -> None:
         """Add, exchange and end people after a frame (`session.settle` first); seen: the frame as each person's tracker
         saw it.
         """
-        ...
 
 
 @dataclass(eq=False)
@@ -241,7 +230,7 @@ class TrackingSession:
 
     people: all with the same number of tracked frames.
     frame_rate: Hz.
-    manager: manages several people; None: there is one person, to whom all evidence of the frames belongs.
+    manager: adds, exchanges and ends people.
     checkpoint: file for the state after a part of the frames; None: nothing is written.
     identity: identity of the run; a checkpoint of another run is refused.
     every: least number of frames between two checkpoints.
@@ -252,7 +241,7 @@ class TrackingSession:
 
     people: list[TrackedPerson]
     frame_rate: float
-    manager: PeopleManager | None = None
+    manager: PeopleManager = field(default_factory=PeopleManager)
     checkpoint: Path | None = None
     identity: Mapping[str, Any] = field(default_factory=dict)
     every: int = 25
@@ -328,17 +317,14 @@ class TrackingSession:
         last: the frame before; None: there is none.
         pool: computes the statistics of the frame; None: they are not computed.
         """
-        manager = self.manager
-        points = () if manager is None else manager.keypoints(self.people, self.done)
-        alone = manager is None or manager.alone
-        members, estimates, seen = step_together([p.member for p in self.people], frame, points, alone=alone)
+        points, members = self.manager.keypoints(self.people, self.done), [p.member for p in self.people]
+        members, estimates, seen = step_together(members, frame, points, alone=self.manager.alone)
         self.settle()
         if pool is not None:
             self._judging = [pool.submit(copy_context().run, self._judged, frame, last, members, estimates, seen)]
         for p, member, estimate in zip(self.people, members, estimates, strict=True):
             p.take(estimate, member)
-        if manager is not None:
-            manager.manage(self, frame, seen)
+        self.manager.manage(self, frame, seen)
 
     def _judged(
         self,
@@ -349,8 +335,6 @@ class TrackingSession:
         seen: Sequence[Frame],
     ) -> list[FrameEstimate]:
         """Add the statistics of a frame to the estimates of all people, see `looked_at`."""
-        for masks in frame.of(Silhouettes):
-            pack_once(masks)
         change = mask_change(frame, last)  # of the complete masks, since the ignored part changes too
         return [
             looked_at(m.tracker, estimate, own, last, change)

@@ -25,7 +25,6 @@ from hypose.pipeline.track_loop import TrackedPerson, body_shape
 from hypose.tracking.frame_evidence import PreparedFrame, mean_overlap, prepare
 from hypose.tracking.part_colours import NO_CLOTHES, appearance_in, likeness
 from hypose.tracking.start_search import starts_in_frame
-from hypose.tracking.tracker import FrameEstimate
 
 if TYPE_CHECKING:
     from hypose.evidence.association import PersonTrack
@@ -42,16 +41,6 @@ class Path:
     """
 
     found: dict[int, HullPerson] = field(default_factory=dict)
-
-    @property
-    def last(self) -> int:
-        """Number of the last frame in which the person was found."""
-        return max(self.found)
-
-    @property
-    def litres(self) -> float:
-        """Median volume over the frames, litres."""
-        return float(np.median([p.litres for p in self.found.values()]))
 
     def expected(self, frame: int) -> Array:
         """Predict where (2,) m the person stands in a later frame, from the latest motion."""
@@ -99,25 +88,27 @@ def follow_places(
         alive = [
             p
             for p in paths
-            if t - p.last <= max(SETTINGS.path_gone_s * frame_rate, 2 * max(np.diff([*numbers, t + 1])))
+            if t - max(p.found) <= max(SETTINGS.path_gone_s * frame_rate, 2 * max(np.diff([*numbers, t + 1])))
         ]
         taken: set[int] = set()
         if alive and here:
             away = np.array([[float(np.linalg.norm(p.expected(t) - h.axis)) for h in here] for p in alive])
             reach = np.array(
-                [[SETTINGS.path_slack + SETTINGS.path_surprise * (t - p.last) / frame_rate] for p in alive]
+                [[SETTINGS.path_slack + SETTINGS.path_surprise * (t - max(p.found)) / frame_rate] for p in alive]
             )
             for a, b in zip(*linear_sum_assignment(np.where(away < reach, away, 1e3)), strict=True):
                 if away[a, b] < reach[a, 0]:
                     alive[a].found[t] = here[b]
                     taken.add(int(b))
         paths += [Path({t: h}) for k, h in enumerate(here) if k not in taken]
-    return sorted(paths, key=lambda p: (-len(p.found), -p.litres))
+    return sorted(paths, key=lambda p: (-len(p.found), -np.median([h.litres for h in p.found.values()])))
 
 
 def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
-    """Select the paths that are found in most of the frames `looks`."""
-    return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SETTINGS.path_seen_share * len(looks))]
+    """Select the paths that are found in half of the frames `looks`: of two people whose arms touch, the hull separates
+    one in every other look.
+    """
+    return [p for p in paths if sum(t in p.found for t in looks) >= max(2, 0.5 * len(looks))]
 
 
 # ---- who stands where ----------------------------------------------------------------------------------------------
@@ -363,30 +354,27 @@ def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: in
     return int(views.sum()) >= min(least, int(thin.usable.sum()))
 
 
-def doubles(people: Sequence[Sequence[FrameEstimate]]) -> set[int]:
-    """Find people who stay in one place with another person whose body explains the evidence better.
+def frames_together(frame_rate: float) -> int:
+    """Return the number of frames after which two people in one place are taken for one; frame_rate: Hz."""
+    return max(2, round(SETTINGS.people_together_s * frame_rate))
 
-    people: latest estimates of each person, of the same frames where both have them; empty: the person is left out.
-    Returns: their indices.
+
+def part_doubles(people: Sequence[TrackedPerson], frame_rate: float) -> None:
+    """Mark a person as gone who stays in one place with another one, whose body explains the evidence better.
+
+    frame_rate: Hz.
     """
-    worse = set[int]()
-    for i, a in enumerate(people):
-        for j, b in enumerate(people[:i]):
-            if not a or not b or worse & {i, j}:
-                continue
-            both = min(len(a), len(b))
-            away = np.stack([e.pose[:3] for e in a[-both:]]) - np.stack([e.pose[:3] for e in b[-both:]])
-            if (np.linalg.norm(away, axis=1) < SETTINGS.newcomer_one_place_m).all():
-                costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p]) for p in (a, b)]
-                worse.add(i if costs[0] >= costs[1] else j)
-    return worse
-
-
-def part_doubles(people: Sequence[TrackedPerson], frames: int) -> None:
-    """Mark the worse of two bodies as gone that stay in one place for so many frames."""
-    known = [p.estimates[-frames:] if p.member.present and len(p.estimates) >= frames else () for p in people]
-    for k in doubles(known):
-        people[k].member = replace(people[k].member, present=False)
+    frames = frames_together(frame_rate)
+    known = [p for p in people if p.member.present and len(p.estimates) >= frames]
+    for i, a in enumerate(known):
+        for b in known[:i]:
+            latest = a.estimates[-frames:], b.estimates[-frames:]
+            places = [np.stack([e.pose[:3] for e in estimates]) for estimates in latest]
+            apart = np.linalg.norm(places[0] - places[1], axis=1)
+            if a.member.present and b.member.present and (apart < SETTINGS.newcomer_one_place_m).all():
+                costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in estimates]) for estimates in latest]
+                worse = a if costs[0] >= costs[1] else b
+                worse.member = replace(worse.member, present=False)
 
 
 def without_doubles(people: Sequence[TrackedPerson], frame: Frame) -> dict[str, TrackedSubject]:
@@ -479,7 +467,8 @@ def returned(
     for p in people:
         if p.member.sure:
             continue
-        seen = p.last_seen
+        backwards = enumerate(zip(p.estimates[::-1], p.present[::-1], strict=True))
+        seen = next(((estimate.pose, since) for since, (estimate, there) in backwards if there), None)
         if seen is not None:
             reach = SETTINGS.people_near_m + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:

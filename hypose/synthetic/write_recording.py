@@ -23,7 +23,7 @@ from hypose.geometry import Array, Image, se3, transform, unit
 from hypose.io.files import atomic_path, file_name, write_text
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.depth import write_depth_png
-from hypose.io.videos.video import VideoWriter
+from hypose.io.videos.video import writing_video
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.render_rgb import LIGHT
 from hypose.synthetic.scenes import Scene, keypoint_detections, make_scene
@@ -133,7 +133,7 @@ def _write_video(
     pictures: (h, w, 3) BGR.
     step: called after each picture.
     """
-    with VideoWriter(path, frame_rate, size) as writer:
+    with writing_video(path, frame_rate, size) as writer:
         for picture in pictures:
             writer.write(picture[: size[1], : size[0]])
             step()

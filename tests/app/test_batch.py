@@ -103,6 +103,18 @@ def test_a_bad_recording_does_not_stop_the_others(hypose, study, tmp_path):
     assert code == 1 and "1 refused" in out and "nowhere, default: " in err
 
 
+def test_a_recording_keeps_options_and_wrong_ones_refuse_it_alone(study, tmp_path):
+    for name, line in (("right", "seed = 7"), ("wrong", "seed = -1")):
+        toml = shutil.copytree(study / "short", tmp_path / name) / "recording.toml"
+        toml.write_text(toml.read_text() + f"\n[track]\n{line}\n")
+    path = tmp_path / "study.csv"
+    path.write_text("recording,seed\nright,\nright,3\nwrong,\n")
+    tasks, refused = ordered_tasks(read_table(path), tmp_path / "out")
+    assert sorted(t.command.seed for t in tasks) == [3, 7]  # the table comes first
+    (one,) = refused
+    assert one["recording"] == "wrong" and "wrong/recording.toml, track: seed" in one["message"]
+
+
 @pytest.mark.parametrize("given", ["table", "folders"])
 def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path, given):
     paths = [table(study, tmp_path)] if given == "table" else sorted(study.iterdir())

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.skeleton_folders import write_folder
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON, MIRROR
 from hypose.geometry import procrustes, transform
 from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_motion
-from hypose.io.sensors.skeleton_files import SkeletonRecording, StreamRows, build_stream
+from hypose.io.sensors.skeleton_files import SkeletonRecording, build_stream
 from tests.app.conftest import fails
 from tests.depth_sensors import camera, places, walker
 
@@ -21,13 +22,14 @@ ANGLES = (0, 60, -60)
 def recorded(rng, people=1, seconds=5.0, starts=(0.0, 0.0, 0.0), common=True, rates=(30, 30, 25)):
     streams = []
     for k, angle in enumerate(ANGLES):
-        rows = StreamRows(f"s{k}", COMMON)
+        reports = []
         for n in range(int(seconds * rates[k])):
             t = n / rates[k] + 0.003 * k
             for p in rng.permutation(people):
                 joints = walker(t, places(people)[p], 1.3 * p) + 0.008 * rng.normal(size=(15, 3))
-                rows.add(t + starts[k], int(p + 10 * k), transform(camera(angle), joints), np.full(15, 2))
-        streams.append(build_stream(rows, "rec")[0])
+                seen = transform(camera(angle), joints)
+                reports.append(SensorReport(f"s{k}", t + starts[k], int(p + 10 * k), COMMON, seen, np.full(15, 2)))
+        streams.append(build_stream(reports, "rec")[0])
     return SkeletonRecording("rec", tuple(streams), "s0", {}, common_clock=common)
 
 

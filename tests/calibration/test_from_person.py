@@ -15,7 +15,7 @@ from hypose.calibration.two_views import rival_offsets
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import BODY_25
 from hypose.io.calibrations.calibration_formats import read_any, write_calibration
-from hypose.io.videos.video import VideoWriter
+from hypose.io.videos.video import writing_video
 
 
 def _solve(scene, known, largest_s=None):
@@ -126,7 +126,7 @@ def _recording(folder, scene, videos=False):
             (folder / camera.name / f"{camera.name}_{t:012d}_keypoints.json").write_text(json.dumps(people))
         lines += ["[[view]]", f'name = "{camera.name}"', f'keypoints = "{camera.name}"']
         if videos:
-            with VideoWriter(folder / f"{camera.name}.mp4", RATE, camera.size) as writer:
+            with writing_video(folder / f"{camera.name}.mp4", RATE, camera.size) as writer:
                 for _ in scene.points[0]:
                     writer.write(np.zeros((*camera.size[::-1], 3), np.uint8))
             lines.append(f'video = "{camera.name}.mp4"')

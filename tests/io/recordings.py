@@ -6,7 +6,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.geometry import se3, so3_exp
 from hypose.io.calibrations.calibration_formats import write_calibration
 from hypose.io.files import toml_value
-from hypose.io.videos.video import VideoWriter
+from hypose.io.videos.video import writing_video
 
 SIZE = (64, 48)
 
@@ -35,7 +35,7 @@ def frame_number(image):
 def make_video(path, n=12, size=SIZE, frame_rate=25.0):
     """Motion JPEG: grey levels come back exactly enough to tell frames apart."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with VideoWriter(path, frame_rate, size) as writer:
+    with writing_video(path, frame_rate, size) as writer:
         for i in range(n):
             writer.write(frame(i, size))
     return path

@@ -15,9 +15,9 @@ from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_
 from hypose.io.sensors.skeleton_files import (
     MAX_SKELETON_LINE,
     FolderWriter,
-    StreamRows,
     build_stream,
     common_times,
+    empty_report,
     format_line,
     parse_line,
     read_skeletons,
@@ -29,22 +29,24 @@ JOINTS = ("head", "neck", "torso")
 
 
 def stream(times, positions=None, ids=None, joints=JOINTS, name="a", state=None):
-    rows = StreamRows(name, tuple(joints))
+    reports = []
     for n, t in enumerate(times):
         p = np.full((len(joints), 3), float(n)) if positions is None else positions[n]
-        rows.add(t, 0 if ids is None else ids[n], p, np.full(len(joints), 2) if state is None else state[n])
-    return build_stream(rows, "rec")
+        level = np.full(len(joints), 2) if state is None else state[n]
+        reports.append(SensorReport(name, t, 0 if ids is None else ids[n], tuple(joints), p, level))
+    return build_stream(reports, "rec")
 
 
 # ---- streams ----
 
 
 def test_a_stream_keeps_persons_in_their_columns():
-    rows = StreamRows("a", JOINTS)
-    for t, ids in enumerate([(5, 9), (9,), (9, 12), (12,)]):
-        for i in ids:
-            rows.add(t / 30, i, np.full((3, 3), float(i)), [2, 2, 2])
-    made, notes = build_stream(rows, "rec")
+    reports = [
+        SensorReport("a", t / 30, i, JOINTS, np.full((3, 3), float(i)), np.full(3, 2))
+        for t, ids in enumerate([(5, 9), (9,), (9, 12), (12,)])
+        for i in ids
+    ]
+    made, notes = build_stream(reports, "rec")
     assert made.person_ids.tolist() == [[5, 9], [-1, 9], [12, 9], [12, -1]]
     assert made.positions[2, 0, 0, 0] == 12 and np.isnan(made.positions[1, 0]).all()
     assert not notes
@@ -110,9 +112,9 @@ def test_impossible_rates_and_spans_are_refused():
 
 def test_a_folder_keeps_states_and_is_not_written_into_again(tmp_path):
     writer = FolderWriter(tmp_path / "rec")
-    writer.add("silent", 0.0, None, (), np.zeros((0, 3)), np.zeros(0))
+    writer.add(empty_report("silent", 0.0))
     for n in range(5):
-        writer.add("a", n / 30, 3, JOINTS, np.ones((3, 3)), np.array([2, 1, 0]))
+        writer.add(SensorReport("a", n / 30, 3, JOINTS, np.ones((3, 3)), np.array([2, 1, 0])))
     writer.close()
     (only,) = read_skeletons(tmp_path / "rec").streams
     assert only.name == "a" and only.state[0, 0].tolist() == [2, 1, 0]
@@ -124,7 +126,8 @@ def test_depth_maps_give_the_depth_at_every_joint(tmp_path):
     folder = tmp_path / "rec"
     writer = FolderWriter(folder)
     for n in range(3):
-        writer.add("a", n / 30, 0, JOINTS, np.array([[0, 0, 2.0], [0.5, 0.25, 2.0], [9, 0, 2.0]]), np.full(3, 2))
+        p = np.array([[0, 0, 2.0], [0.5, 0.25, 2.0], [9, 0, 2.0]])
+        writer.add(SensorReport("a", n / 30, 0, JOINTS, p, np.full(3, 2)))
     writer.close()
     depth = np.zeros((40, 60), np.float32)
     depth[20, 30], depth[15, 40] = 1.9, 2.1  # y up: 0.25 m above the axis is 5 rows higher

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.videos.video import VideoWriter, check_numbers, count_frames, frame_size, open_video, read_image
+from hypose.io.videos.video import check_numbers, count_frames, frame_size, open_video, read_image, writing_video
 from tests.io.recordings import SIZE, frame, frame_number, make_video
 
 
@@ -23,7 +23,7 @@ def test_written_frames_come_back_in_order(tmp_path, ending):
 
 @pytest.mark.parametrize("ending", [".mp4", ".webm"])
 def test_lossy_videos(tmp_path, ending):
-    with VideoWriter(tmp_path / f"a{ending}", 30, (65, 49)) as writer:
+    with writing_video(tmp_path / f"a{ending}", 30, (65, 49)) as writer:
         for i in range(20):
             writer.write(np.full((49, 65, 3), 10 * i, np.uint8))
     with open_video(tmp_path / f"a{ending}") as reader:
@@ -145,12 +145,12 @@ def test_not_a_video(tmp_path, name, data, message):
 )
 def test_writer_refuses(tmp_path, name, rate, message):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=message), VideoWriter(tmp_path / name, rate, SIZE) as writer:
+    with pytest.raises(InputError, match=message), writing_video(tmp_path / name, rate, SIZE) as writer:
         writer.write(frame(0, (32, 32)))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_video_without_frames_is_not_written(tmp_path):
-    with pytest.raises(InputError, match="no frame was given"), VideoWriter(tmp_path / "a.avi", 25, SIZE):
+    with pytest.raises(InputError, match="no frame was given"), writing_video(tmp_path / "a.avi", 25, SIZE):
         pass
     assert not list(tmp_path.iterdir())

@@ -19,7 +19,7 @@ from click.exceptions import Exit
 from hypose.app.commands.console import Stages, counted, print_note, print_notes, say, stopping
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
-from hypose.io.files import claimed, natural_key, toml_lines, write_text
+from hypose.io.files import claimed, natural_key, toml_text, write_text
 from hypose.options import Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
@@ -55,13 +55,14 @@ def init(
         raise InputError(f"{folder} holds videos in several places ({places}); make a folder for each recording.")
     names = [source.name for source in find_sources([folder / v for v in videos])]
     calibration = folder / "calibration.toml"
-    lines = toml_lines({"name": folder.resolve().name, "calibration": calibration.name})
+    views = []
     for video, name in zip(videos, names, strict=True):
         room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
-        table = {"name": name, "video": video.as_posix(), "background": None if room is None else room.as_posix()}
-        lines += ["", "[[view]]", *toml_lines(table)]
+        shown = None if room is None else room.as_posix()
+        views.append({"name": name, "video": video.as_posix(), "background": shown})
         say(f"{name}: {video}" + ("" if room is None else f", empty room {room}"))
-    write_text(target, "\n".join(lines) + "\n")
+    head = {"name": folder.resolve().name, "calibration": calibration.name}
+    write_text(target, toml_text({**head, "view": views}))
     say(f"Written: {target}; names and empty rooms can be corrected there (docs/recordings.md).")
     if calibration.is_file():
         say(f"Next: hypose check {where}")

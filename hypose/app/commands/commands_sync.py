@@ -31,7 +31,7 @@ from hypose.io.recordings.frames import RecordedPerson, mask_folder, write_frame
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
 from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.sensors.depth import write_depth_png
-from hypose.io.videos.video import VideoWriter, frame_size, list_images, open_video, read_sound
+from hypose.io.videos.video import frame_size, list_images, open_video, read_sound, writing_video
 from hypose.pipeline.recorded_frames import frames_to_examine
 from hypose.pipeline.recording_diagnostics import (
     observe_recording,
@@ -260,7 +260,7 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
     folder.mkdir(parents=True, exist_ok=True)
     with (
         open_video(view.source, rate=view.rate) as reader,
-        VideoWriter(path, recording.frame_rate, reader.size) as writer,
+        writing_video(path, recording.frame_rate, reader.size) as writer,
     ):
         for i in range(len(frames)):
             writer.write(reader.read(frames[min(max(round(i + late), 0), len(frames) - 1)]))

@@ -149,7 +149,7 @@ class LiveServer:
         except InputError as error:
             return self._ignore(str(error).rstrip("."), now)
         self.used += fresh
-        self._record(lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state))
+        self._record(lambda writer: writer.add(line))
         self.tick()
         return None
 
@@ -209,19 +209,12 @@ class LiveServer:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
         sensors = [
             {
-                "name": s.name,
-                "alive": s.alive,
-                "rate": round(s.rate, 1),
-                "offset": round(s.offset, 5),
-                "jumps": s.jumps,
-                "returns": s.returns,
-                "used": s.used,
-                "refused": s.refused,
-                "registered": s.name in residuals,
-                "residual": round(residuals.get(s.name, math.nan), 5),
-                "place": places[s.name].round(4).tolist() if s.name in places else None,
+                **status,
+                "registered": status["name"] in residuals,
+                "residual": round(residuals.get(status["name"], math.nan), 5),
+                "place": places[status["name"]].round(4).tolist() if status["name"] in places else None,
             }
-            for s in self.fuser.aligner.status(now)
+            for status in self.fuser.aligner.status(now)
         ]
         counts = {
             "received": self.received,
@@ -303,5 +296,5 @@ async def run_live(server: LiveServer, say: _Say, note: _Say) -> None:
 
 def _summary(server: LiveServer) -> str:
     p99 = 1000 * float(np.percentile(server.latencies, 99))
-    alive = sum(s.alive for s in server.fuser.aligner.status(server.clock()))
+    alive = sum(s["alive"] for s in server.fuser.aligner.status(server.clock()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."

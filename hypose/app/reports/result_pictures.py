@@ -31,7 +31,7 @@ from hypose.geometry import Array, Image
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
-from hypose.io.videos.video import VideoReader, VideoWriter
+from hypose.io.videos.video import VideoReader, writing_video
 from hypose.pipeline.sources import FrameSource
 
 # BGR; also different for people with red-green colour blindness
@@ -455,7 +455,7 @@ def write_overlay(
         images = stack.enter_context(open_images(recording))
         canvases = [Canvas(recording, images) for _ in range(_AHEAD + 1)]
         rate = motion.frame_rate if len(motion) > 1 else 25.0
-        writer = stack.enter_context(VideoWriter(path, rate, canvases[0].size)) if wanted.video else None
+        writer = stack.enter_context(writing_video(path, rate, canvases[0].size)) if wanted.video else None
         writing = stack.enter_context(ThreadPoolExecutor(1))
         written: deque[Future[None]] = deque()
         for done, row in enumerate(rows):

@@ -708,7 +708,7 @@ def gesture_thumbnail(model: Path) -> bytes | None:
         if not shown:
             continue
         frame = shown[len(shown) // 2]
-        depth = frame.depth()
+        depth = recording.picture(frame)
         z = surface_depth(depth, frame.x, frame.y)
         half = _HALF_M * recording.lens.fx / (2.0 if z is None else z / 1000)
         size = (max(1, round(2 * half)),) * 2

@@ -36,12 +36,12 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Image, Mask
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, write_text
+from hypose.io.files import natural_key, read_text, read_toml, text_of, toml_lines, toml_text, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import (
     Recording,
+    changed_settings,
     load_recording,
-    silhouette_lines,
     silhouette_options,
     write_recording,
 )
@@ -301,7 +301,9 @@ class Recordings:
         read_toml(path)
         tables = _BEFORE_TABLE.split(read_text(path, "a recording.toml"))
         kept = "".join(table for table in tables if _header(table) != "[silhouettes]")
-        write_text(path, "\n".join([kept.rstrip("\n"), *silhouette_lines(options)]) + "\n")
+        changed = changed_settings(options)
+        added = [toml_text({"silhouettes": changed})] if changed else []
+        write_text(path, "\n".join([kept.rstrip("\n") + "\n", *added]))
         return asdict(options)
 
     def opened(self, folder: Path, frames: tuple[int, int] | None = None) -> OpenRecording:
@@ -443,7 +445,7 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     calibration = text(CALIBRATION if calibration is None else calibration, "calibration", 1000, "choose one")
     said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
     head = {"name": text(wanted.get("name"), "name", 80, "give one"), "calibration": calibration, **said}
-    lines = toml_lines(head)
+    tables = []
     for view, camera in zip(views, cameras, strict=True):
         table = {"name": text(view.get("name"), "name of a view", 200, "give one"), "camera": camera}
         table |= {"accept_scaled": True} if view.get("accept_scaled") is True else {}
@@ -451,8 +453,8 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
             path = _placed(catalog, folder, view, role)
             key = "images" if role == "video" and path.is_dir() else role
             table[key] = path.relative_to(folder).as_posix()
-        lines += ["", "[[view]]", *toml_lines(table)]
-    write_text(target, "\n".join(lines) + "\n")
+        tables.append(table)
+    write_text(target, toml_text({**head, "view": tables}))
     try:
         if wanted.get("calibration") is not None:
             catalog.inside(calibration, folder)

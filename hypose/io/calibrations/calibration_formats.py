@@ -55,8 +55,7 @@ from hypose.io.files import (
     read_json,
     read_toml,
     text_of,
-    toml_key,
-    toml_lines,
+    toml_text,
     write_text,
 )
 from hypose.io.formats import Format, FormatTable, Source
@@ -168,10 +167,10 @@ def write_calibration(rig: CameraRig, path: str | Path) -> None:
     Raises: InputError where the name of the file does not end in .toml.
     """
     check_toml(path)
-    lines = []
+    tables: dict[str, Any] = {}
     for camera in rig:
         pose = camera.camera_from_world
-        table = {
+        tables[camera.name] = {
             "name": camera.name,
             "size": [int(s) for s in camera.size],
             "matrix": camera.K,
@@ -180,9 +179,7 @@ def write_calibration(rig: CameraRig, path: str | Path) -> None:
             "translation": pose[:3, 3],
             "fisheye": camera.fisheye,
         }
-        lines += [f"[{toml_key(camera.name)}]", *toml_lines(table), ""]
-    lines += ["[metadata]", *toml_lines({"adjusted": False, "error": 0.0, "unit": "m"}), ""]
-    write_text(path, "\n".join(lines))
+    write_text(path, toml_text({**tables, "metadata": {"adjusted": False, "error": 0.0, "unit": "m"}}))
 
 
 def check_toml(path: str | Path) -> None:

@@ -28,7 +28,16 @@ import numpy as np
 from hypose.errors import InputError, refuse
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS
 from hypose.geometry import Array
-from hypose.io.files import csv_rows, last_number, numbers_of, open_file, read_bytes, read_json, read_text
+from hypose.io.files import (
+    csv_rows,
+    distinct_numbers,
+    last_number,
+    numbers_of,
+    open_file,
+    read_bytes,
+    read_json,
+    read_text,
+)
 from hypose.io.formats import Format, FormatTable, Source
 from hypose.io.motions.results import parse_array
 from hypose.json_text import parse_json
@@ -216,19 +225,22 @@ def _caliscope(source: Source) -> dict[str, KeypointTable]:
     values = _rows_of(path, source.kind, [camera, "sync_index", point, "img_loc_x", "img_loc_y"])
     if not len(values):
         raise InputError(f"{where} holds no points; run the tracker again.")
-    seen: dict[int, dict[int, dict[int, tuple[float, float, float]]]] = {}
-    for *numbers, x, y in values.tolist():
-        name, number, identity = map(whole_number, numbers)
-        seen.setdefault(name, {}).setdefault(number, {})[identity] = (x, y, 1.0)
-    order = _point_order(path.stem.lower(), set(values[:, 2].astype(int).tolist()))
+    cameras, frames, ids = ([whole_number(v) for v in column] for column in values[:, :3].T.tolist())
+    order = {identity: k for k, identity in enumerate(_point_order(path.stem.lower(), set(ids)))}
+    seen: dict[int, dict[int, Array]] = {}
+    for name, number, identity, place in zip(cameras, frames, ids, values[:, 3:], strict=True):
+        points = seen.setdefault(name, {}).setdefault(number, np.zeros((len(order), 3)))
+        if identity in order:
+            points[order[identity]] = *place, 1.0
     numbers, rate = _clock(path)
-    first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
-    out = {}
-    for name, frames in sorted(seen.items()):
-        people = grouped(frames, [[points.get(i, (0, 0, 0)) for i in order] for points in frames.values()], where)
-        names = BLAZEPOSE_33 if len(order) == 33 else None
-        out[str(name)] = KeypointTable("Caliscope points", people, first, names, scored=False, frame_rate=rate)
-    return out
+    first = _first_frame(frames, numbers, where)
+    names = BLAZEPOSE_33 if len(order) == 33 else None
+    return {
+        str(name): KeypointTable(
+            "Caliscope points", grouped(of, list(of.values()), where), first, names, scored=False, frame_rate=rate
+        )
+        for name, of in sorted(seen.items())
+    }
 
 
 def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
@@ -446,10 +458,8 @@ def numbered_files(paths: list[Path]) -> dict[int, Path]:
     Returns: files by frame number.
     """
     # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
-    numbers = [last_number(p.stem) for p in paths]
-    if None in numbers or len(set(numbers)) < len(numbers):
-        return dict(enumerate(paths))
-    return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
+    numbers = distinct_numbers(paths)
+    return dict(enumerate(paths) if numbers is None else zip(numbers, paths, strict=True))
 
 
 def _easymocap(source: Source) -> KeypointTable:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import as_mask
 from hypose.geometry import Mask
-from hypose.io.files import last_number, natural_key
+from hypose.io.files import distinct_numbers, natural_key
 from hypose.io.videos.video import (
     PNG_SIGNATURE,
     VideoReader,
@@ -139,17 +139,15 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
     first: number of the first frame's files; None for the lowest number.
     """
     listed = {p.name: list_images(p) for p in folders}
-    numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
-    known = [n for found in numbers.values() for n in found]
-    by_frame: dict[str, dict[int, Path]]
-    if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
-        by_frame, first = {name: dict(enumerate(files)) for name, files in listed.items()}, None
+    numbers = [distinct_numbers(files) or [] for files in listed.values()]
+    if all(numbers):
+        first = min(map(min, numbers)) if first is None else first
     else:
-        first = min([n for n in known if n is not None] if first is None else [first])
-        by_frame = {
-            name: {n - first: f for n, f in zip(numbers[name], files, strict=True) if n is not None}
-            for name, files in listed.items()
-        }
+        first, numbers = None, [list(range(len(files))) for files in listed.values()]
+    by_frame = {
+        name: {n - (first or 0): file for n, file in zip(own, files, strict=True)}
+        for (name, files), own in zip(listed.items(), numbers, strict=True)
+    }
     size = frame_size(folders[0])
 
     def load(frame: int) -> Objects:

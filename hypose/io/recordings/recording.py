@@ -69,7 +69,7 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_calibration
 from hypose.io.calibrations.camera_tables import UNITS
-from hypose.io.files import file_name, match_names, read_toml, text_of, toml_lines, write_text
+from hypose.io.files import file_name, match_names, read_toml, text_of, toml_text, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_views import (
@@ -375,7 +375,27 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     folder = Path(folder)
     write_calibration(recording.rig, folder / "calibration.toml")
     has_keypoints = recording.keypoint_set is not None
-    table = {
+    people = [
+        {
+            "name": person.name,
+            "height": person.height,
+            "body": None if person.body is None else _relative(person.body, folder),
+            "place": person.place,
+            "time": None if person.place is None else person.time,
+        }
+        for person in recording.people
+    ]
+    views = [
+        {
+            "name": view.name,
+            "camera": camera.name,
+            **{key: _relative(view.files[key], folder) for key in PATH_KEYS if key in view.files},
+            "image_shift": [float(s) for s in view.image_shift] if any(view.image_shift) else None,
+            "accept_scaled": view.accept_scaled or None,
+        }
+        for view, camera in zip(recording.views, recording.rig, strict=True)
+    ]
+    document = {
         "name": recording.name,
         "calibration": "calibration.toml",
         "calibration_unit": "m",
@@ -386,38 +406,18 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         "keypoint_pixels": recording.keypoint_pixels if has_keypoints else None,
         "subject_height": recording.subject_height,
         "subject_mass": recording.subject_mass,
+        "view": views,
+        "person": people or None,
+        "silhouettes": changed_settings(recording.silhouettes),
     }
-    lines = toml_lines(table)
-    for view, camera in zip(recording.views, recording.rig, strict=True):
-        shift = [float(s) for s in view.image_shift]
-        table = {
-            "name": view.name,
-            "camera": camera.name,
-            **{key: _relative(view.files[key], folder) for key in PATH_KEYS if key in view.files},
-            "image_shift": shift if any(shift) else None,
-            "accept_scaled": view.accept_scaled or None,
-        }
-        lines += ["", "[[view]]", *toml_lines(table)]
-    for person in recording.people:
-        placed = person.place is not None
-        table = {
-            "name": person.name,
-            "height": person.height,
-            "body": None if person.body is None else _relative(person.body, folder),
-            "place": person.place,
-            "time": person.time if placed else None,
-        }
-        lines += ["", "[[person]]", *toml_lines(table)]
-    lines += silhouette_lines(recording.silhouettes)
-    write_text(folder / "recording.toml", "\n".join(lines) + "\n")
+    write_text(folder / "recording.toml", toml_text(document))
     return folder / "recording.toml"
 
 
-def silhouette_lines(options: SilhouetteSettings) -> list[str]:
-    """Format the [silhouettes] table of a recording.toml; no lines where all settings are the defaults."""
+def changed_settings(options: SilhouetteSettings) -> dict[str, Any] | None:
+    """List the settings of the [silhouettes] table that are not the defaults; None where all are."""
     usual = asdict(SilhouetteSettings())
-    changed = {k: v for k, v in asdict(options).items() if v != usual[k]}
-    return ["", "[silhouettes]", *toml_lines(changed)] if changed else []
+    return {k: v for k, v in asdict(options).items() if v != usual[k]} or None
 
 
 def _relative(path: Path, folder: Path) -> str:

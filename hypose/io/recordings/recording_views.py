@@ -26,8 +26,6 @@ from hypose.evidence.depth_background import (
     STILL_FRAMES,
     DepthBackground,
     learn_background,
-    people_before,
-    people_on_floor,
     person_before,
     person_on_floor,
     unlike_people,
@@ -327,25 +325,23 @@ _KEPT = 8
 _ROOM_FRAMES = 30
 
 
-class DepthPreparer:
-    """Conversion of stored depth maps to the maps of a pinhole camera at working size.
+def depth_preparer(camera: Camera, small: Camera, shift: tuple[float, float]) -> Callable[[DepthMap], DepthMap]:
+    """Make the function that converts stored depth maps to (h, w), m, of a pinhole camera at working size.
+
+    Each pixel gets the nearest stored pixel, because no depth was measured between two pixels.
 
     camera: the calibrated camera.
     small: the pinhole camera of the working size.
     shift: (x, y) that is added to positions in the stored maps, px of the calibrated size.
     """
+    places_of = lru_cache(maxsize=2)(partial(places_in_stored, camera, small.size, shift))
 
-    def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
-        self._places = lru_cache(maxsize=2)(partial(places_in_stored, camera, small.size, shift))
-
-    def __call__(self, depth: DepthMap) -> DepthMap:
-        """Convert a depth map to the working size (h, w), m, with the nearest stored pixel.
-
-        Why: no depth was measured between two pixels.
-        """
-        places = self._places((depth.shape[1], depth.shape[0]))
+    def prepared(depth: DepthMap) -> DepthMap:
+        places = places_of((depth.shape[1], depth.shape[0]))
         moved = cv2.remap(depth, places[..., 0], places[..., 1], cv2.INTER_NEAREST, borderValue=0)
         return np.asarray(moved, dtype=np.float32)
+
+    return prepared
 
 
 class DepthSource:
@@ -364,7 +360,7 @@ class DepthSource:
     def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
         self.view, self._small, self._people = view, small, people
         self._files = list_images(view.files["depth"])
-        self._prepared = DepthPreparer(camera, small, view.image_shift)
+        self._prepared = depth_preparer(camera, small, view.image_shift)
         self.map = lru_cache(maxsize=_KEPT)(self._map)
 
     def _map(self, frame: int) -> DepthMap:
@@ -381,8 +377,8 @@ class DepthSource:
         room, camera = self.furnished[0], self._small
         depth = self.map(frame)
         if room is None:
-            return (people_on_floor if self._people else person_on_floor)(depth, camera, self._unlike_people)
-        return people_before(depth, room) if self._people else person_before(depth, room, camera.K[0, 0])
+            return person_on_floor(depth, camera, self._unlike_people, self._people)
+        return person_before(depth, room, camera.K[0, 0], self._people)
 
     @cached_property
     def room(self) -> DepthBackground | None:

@@ -17,8 +17,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, chain
 from pathlib import Path
@@ -87,11 +87,6 @@ class SensorStream:
         """Number of instants per second, Hz, from the median time step; 30 for a single instant."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 30.0
 
-    @property
-    def people(self) -> int:
-        """Largest number of people at a time."""
-        return self.positions.shape[1]
-
 
 @dataclass(frozen=True)
 class SkeletonRecording:
@@ -126,105 +121,76 @@ class SkeletonRecording:
             s = self.streams[k]
             seen = np.flatnonzero(s.person_ids[n] >= 0)
             if not len(seen):
-                yield SensorReport(s.name, time, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))
+                yield empty_report(s.name, time)
             for p in seen:
                 yield SensorReport(
                     s.name, time, int(s.person_ids[n, p]), s.joint_names, s.positions[n, p], s.state[n, p]
                 )
 
 
-# ---- from rows to streams ----------------------------------------------------------------------------------
+# ---- from reports to streams -------------------------------------------------------------------------------
 
 
-@dataclass
-class StreamRows:
-    """Bodies that one sensor reported, in the order of arrival, from which a stream is built.
-
-    name: name of the sensor.
-    joint_names: J names.
-    times, ids: time (s) and number of the person of each body.
-    positions, state: (J, 3) m and (J,) of each body, as in `SensorStream`.
-    joint_depth: (J,) depth map at the joints' pixels of each body, m; empty where the sensor has no depth maps.
-    """
-
-    name: str
-    joint_names: tuple[str, ...]
-    times: list[float] = field(default_factory=list)
-    ids: list[int] = field(default_factory=list)
-    positions: list[Array] = field(default_factory=list)
-    state: list[NDArray[np.uint8]] = field(default_factory=list)
-    joint_depth: list[Array] = field(default_factory=list)
-    empty: list[float] = field(default_factory=list)
-    """Times at which the sensor saw no person."""
-
-    def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
-        """Append one body.
-
-        time: s.
-        person: the sensor's number of the person.
-        positions: (J, 3) m.
-        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
-        """
-        self.times.append(time)
-        self.ids.append(person)
-        self.positions.append(np.asarray(positions, dtype=np.float64))
-        self.state.append(np.asarray(state, dtype=np.uint8))
+def empty_report(sensor: str, time: float, arrival: float | None = None) -> SensorReport:
+    """Make the report of a sensor that sees no person."""
+    return SensorReport(sensor, time, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8), arrival)
 
 
-def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
-    """Build a stream with increasing times from the bodies of a sensor, at least one.
+def build_stream(reports: Sequence[SensorReport], where: str) -> tuple[SensorStream, tuple[str, ...]]:
+    """Build a stream with increasing times from the reports of a sensor, at least one of them of a person.
 
     A body that is less than 0.2 s late is sorted in. A single time far ahead of its neighbours is removed. After a
     clock was set back, time continues with the sensor's usual step.
 
+    reports: in the order of arrival, all with the same joints.
     where: the recording, for the error messages.
     Returns: the stream, and notes about corrected faults.
     Raises: InputError where there are too many people, or times or positions that cannot be correct.
     """
-    notes: list[str] = []
-    arrival = np.array(rows.times)
+    bodies = [r for r in reports if r.person is not None]
+    people_of = [r.person or 0 for r in bodies]
+    name, joints = bodies[0].sensor, bodies[0].joint_names
+    arrival = np.array([r.time for r in bodies])
     forward = np.diff(np.unique(arrival[np.isfinite(arrival)]))
     usual = float(np.median(forward)) if len(forward) else 0.0
     faults = {
-        f"a time of the sensor {rows.name} is not a number; times are seconds": not (
-            np.isfinite([*rows.times, *rows.empty]).all()
+        f"a time of the sensor {name} is not a number; times are seconds": not (
+            np.isfinite([r.time for r in reports]).all()
         ),
-        f"the frames of the sensor {rows.name} lie {usual:g} s apart, and times are seconds; divide milliseconds by "
+        f"the frames of the sensor {name} lie {usual:g} s apart, and times are seconds; divide milliseconds by "
         "1000": usual > _SLOWEST_S,
-        f"the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged": any(
-            not -(2**63) <= person < 2**63 for person in rows.ids
+        f"the sensor {name} numbers a person beyond 64 bits; the file is damaged": any(
+            not -(2**63) <= person < 2**63 for person in people_of
         ),
     }
     refuse(f"{where}: ", faults)
     repaired, keep, clock_notes = repair_clock(arrival)
-    notes += [f"{rows.name}: {text}" for text in clock_notes]
+    notes = [f"{name}: {text}" for text in clock_notes]
     order = np.flatnonzero(keep)[np.argsort(repaired[keep], kind="stable")]
-    empty = np.array(rows.empty) if not clock_notes else np.zeros(0)
+    empty = [] if clock_notes else [r.time for r in reports if r.person is None]
     instants, first = np.unique(np.concatenate([repaired[order], empty]), return_inverse=True)
     present: list[dict[int, int]] = [{} for _ in instants]
     for i, at in zip(order.tolist(), first[: len(order)].tolist(), strict=True):
-        present[at][rows.ids[i]] = i
+        present[at][people_of[i]] = i
     if doubled := len(order) - sum(map(len, present)):
-        notes.append(f"{rows.name}: {doubled} bodies came twice for the same person and time; the last one counts")
+        notes.append(f"{name}: {doubled} bodies came twice for the same person and time; the last one counts")
     columns = _columns([list(p) for p in present])
     people = max((c + 1 for row in columns for c in row.values()), default=1)
     if people > MAX_PEOPLE:
-        raise InputError(f"{where}: the sensor {rows.name} reports {people} persons at once; at most {MAX_PEOPLE}.")
-    t, j = len(instants), len(rows.joint_names)
+        raise InputError(f"{where}: the sensor {name} reports {people} persons at once; at most {MAX_PEOPLE}.")
+    t, j = len(instants), len(joints)
     positions = np.full((t, people, j, 3), np.nan)
     state = np.zeros((t, people, j), dtype=np.uint8)
     ids = np.full((t, people), -1, dtype=np.int64)
-    depth = np.zeros((t, people, j))
-    for n, (bodies, column) in enumerate(zip(present, columns, strict=True)):
-        for person, i in bodies.items():
-            c = column[person]
-            positions[n, c], state[n, c], ids[n, c] = rows.positions[i], rows.state[i], person
-            if rows.joint_depth:
-                depth[n, c] = rows.joint_depth[i]
-    positions, state = clean_joints(positions, state, f"{where}, sensor {rows.name}", rows.joint_names)
-    return SensorStream(
-        rows.name, instants, positions, state, ids, rows.joint_names, depth if rows.joint_depth else None
-    ), tuple(notes)
+    mapped = np.zeros((t, people, j)) if any(r.joint_depth is not None for r in bodies) else None
+    for n, (there, column) in enumerate(zip(present, columns, strict=True)):
+        for person, i in there.items():
+            c, body = column[person], bodies[i]
+            positions[n, c], state[n, c], ids[n, c] = body.positions, body.state, person
+            if mapped is not None:
+                mapped[n, c] = body.joint_depth
+    positions, state = clean_joints(positions, state, f"{where}, sensor {name}", joints)
+    return SensorStream(name, instants, positions, state, ids, joints, mapped), tuple(notes)
 
 
 def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
@@ -328,26 +294,21 @@ def resample(stream: SensorStream, times: ArrayLike) -> SensorStream:
     near_b = np.abs(at - stream.times[k]) <= step * 0.5 + 1e-9
     exact = np.abs(at - stream.times[i]) <= 1e-9
     same = (stream.person_ids[i] == stream.person_ids[k]) & ((span > 0) & (span <= 3.2 * step))[:, None]
-    wide = w[:, None, None, None]
-    between = a + wide * (b - a)
+    between = a + w[:, None, None, None] * (b - a)
     both = same[..., None] & np.isfinite(between).all(-1)
     # alone: the nearer sample, for half a step
     use_a = (near_a & (w < 0.5) & ~before_first | exact)[:, None]
     use_b = (near_b & ((w >= 0.5) | before_first))[:, None]
-    alone_a = use_a[..., None] & ~both
-    alone_b = use_b[..., None] & ~both & ~alone_a
-    positions = np.where(both[..., None], between, np.nan)
-    positions = np.where(alone_a[..., None], a, np.where(alone_b[..., None], b, positions))
-    state = np.where(both, np.minimum(stream.state[i], stream.state[k]), 0)
-    state = np.where(alone_a, stream.state[i], np.where(alone_b, stream.state[k], state)).astype(np.uint8)
-    ids = np.where(same | use_a, stream.person_ids[i], np.where(use_b, stream.person_ids[k], -1))
-    depth = None
+    chosen = [both, use_a[..., None], use_b[..., None]]
+    positions = np.select([c[..., None] for c in chosen], [between, a, b], np.nan)
+    lower = np.minimum(stream.state[i], stream.state[k])
+    state = np.select(chosen, [lower, stream.state[i], stream.state[k]], 0).astype(np.uint8)
+    ids = np.select([same | use_a, use_b], [stream.person_ids[i], stream.person_ids[k]], -1)
+    missing, depth = ~np.isfinite(positions).all(-1), None
+    state[missing] = 0
     if stream.joint_depth is not None:
         # depth maps are not interpolated: at an edge, that would create a surface that does not exist
-        nearest = np.where(w < 0.5, i, k)
-        depth = np.where(np.isfinite(positions).all(-1), stream.joint_depth[nearest], 0.0)
-    missing = ~np.isfinite(positions).all(-1)
-    state[missing] = 0
+        depth = np.where(missing, 0.0, stream.joint_depth[np.where(w < 0.5, i, k)])
     return SensorStream(stream.name, at, positions, state, ids, stream.joint_names, depth)
 
 
@@ -387,38 +348,38 @@ def shifted(stream: SensorStream, seconds: float) -> SensorStream:
 
 def checked_recording(
     name: str,
-    rows: Sequence[StreamRows],
+    reports: Mapping[str, Sequence[SensorReport]],
     where: str,
     inputs: Mapping[str, Path],
     *,
     reference: str | None = None,
     common_clock: bool = True,
 ) -> SkeletonRecording:
-    """Build a recording from the bodies of its sensors; sensors that saw no person are left out, with a note.
+    """Build a recording from the reports of its sensors; sensors that saw no person are left out, with a note.
 
-    rows: bodies of each sensor.
+    reports: reports of each sensor by its name, as for `build_stream`.
     where: the recording, for the error messages.
     inputs: path of each file by a short name.
     reference: sensor whose frame the result uses; the first by default.
     common_clock: all sensors' times are from one clock.
     Raises: InputError where there is no skeleton, there are too many sensors, or the reference has no skeleton.
     """
-    if len(rows) > MAX_SENSORS:
-        raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
-    streams, found = [], [f"{r.name}: no person was seen, the sensor is left out" for r in rows if not r.times]
-    if len(found) == len(rows):
-        raise InputError(f"{where} holds no skeleton; give a recording in which a person was seen.")
-    for r in (r for r in rows if r.times):
-        stream, more = build_stream(r, where)
-        streams.append(stream)
-        found += more
-    if reference is not None and reference not in [s.name for s in streams]:
+    seen = [sensor for sensor, of_sensor in reports.items() if any(r.person is not None for r in of_sensor)]
+    faults = {
+        f" has {len(reports)} sensors, at most {MAX_SENSORS} are fused; split the recording": len(reports)
+        > MAX_SENSORS,
+        " holds no skeleton; give a recording in which a person was seen": not seen,
+    }
+    refuse(where, faults)
+    built = [build_stream(reports[sensor], where) for sensor in seen]
+    if reference not in (None, *seen):
         raise InputError(
-            f"{where} names the reference sensor {reference!r}, which has no skeleton; choose one of "
-            f"{', '.join(s.name for s in streams)}."
+            f"{where} names the reference sensor {reference!r}, which has no skeleton; choose one of {', '.join(seen)}."
         )
+    notes = [f"{sensor}: no person was seen, the sensor is left out" for sensor in reports if sensor not in seen]
+    notes += [note for _, of_stream in built for note in of_stream]
     return SkeletonRecording(
-        name, tuple(streams), reference or streams[0].name, dict(inputs), tuple(found), common_clock
+        name, tuple(s for s, _ in built), reference or seen[0], dict(inputs), tuple(notes), common_clock
     )
 
 
@@ -477,13 +438,11 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
             joints is None or (isinstance(joints, dict) and 1 <= len(joints) <= MAX_JOINTS)
         ),
     }
-    if found := [fault for fault, there in faults.items() if there]:
-        raise InputError(found[0])
+    refuse("", faults)
     time = _number(value.get("time"), "time")
     received = None if value.get("received") is None else _number(value["received"], "received")
     if not isinstance(joints, dict):  # null: no person is seen
-        empty = np.zeros((0, 3))
-        return SensorReport(str(sensor), time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
+        return empty_report(str(sensor), time, received), token
     names = tuple(joints)
     _check_names(names)
     return SensorReport(str(sensor), time, person, names, *_positions(joints, SKELETON_UNITS[unit]), received), token
@@ -557,37 +516,34 @@ def read_lines(source: Source) -> SkeletonRecording:
 
     Raises: InputError where a line is not valid.
     """
-    p, sensors = source.path, dict[str, StreamRows]()
+    p, sensors = source.path, dict[str, list[SensorReport]]()
     for number, text in enumerate(bounded_lines(p, "skeletons as JSON lines", line_limit=MAX_SKELETON_LINE), start=1):
         if not text.strip():
             continue
         try:
             line, _ = parse_line(text)
         except InputError as error:
-            raise InputError(f"{p}: line {number}: {error}.") from None
-        rows = sensors.get(line.sensor)
-        if rows is None:
-            if line.person is None:
-                continue  # no person yet: its joints are not known
-            rows = sensors[line.sensor] = StreamRows(line.sensor, line.joint_names)
-        if line.person is None:
-            rows.empty.append(line.time)
-            continue
-        positions, state = line.positions, line.state
-        if line.joint_names != rows.joint_names:
-            if set(line.joint_names) != set(rows.joint_names):
+            raise InputError(f"{p}: line {number}: {str(error).rstrip('.')}.") from None
+        if line.sensor not in sensors and line.person is None:
+            continue  # no person yet: its joints are not known
+        of_sensor = sensors.setdefault(line.sensor, [line])
+        names = of_sensor[0].joint_names
+        if line.person is not None and line.joint_names != names:
+            if set(line.joint_names) != set(names):
                 raise InputError(
                     f"{p}: line {number}: the sensor {line.sensor} reports {len(line.joint_names)} joints, before it "
-                    f"reported {len(rows.joint_names)} (others); name every joint of its set in each line."
+                    f"reported {len(names)} (others); name every joint of its set in each line."
                 )
-            order = [line.joint_names.index(n) for n in rows.joint_names]
-            positions, state = positions[order], state[order]
-        rows.add(line.time, line.person, positions, state)
+            order = [line.joint_names.index(n) for n in names]
+            line = replace(line, joint_names=names, positions=line.positions[order], state=line.state[order])
+        if line is not of_sensor[0]:
+            of_sensor.append(line)
     title = p.name.removesuffix(".gz").rsplit(".", 1)[0]
-    spans = sorted((min(t), max(t)) for rows in sensors.values() if (t := [*rows.times, *rows.empty]))
+    times = [[r.time for r in of_sensor] for of_sensor in sensors.values()]
+    spans = sorted((min(t), max(t)) for t in times)
     ends = accumulate((end for _, end in spans), max)
     together = all(begin <= end for (begin, _), end in zip(spans[1:], ends, strict=False))
-    return checked_recording(title, list(sensors.values()), str(p), {p.name: p}, common_clock=together)
+    return checked_recording(title, sensors, str(p), {p.name: p}, common_clock=together)
 
 
 _FORMAT = "hypose-skeletons"
@@ -605,22 +561,45 @@ def read_folder(source: Source) -> SkeletonRecording:
     with numbers_of(str(session)):
         value = read_json(session, "a session.json")
         stated, clock = (value["format"], value["version"]), value.get("clock", "common")
-        sensors = {s.rows.name: s for s in (_described(session, x) for x in value["sensors"])}
+        sensors = {s.name: s for s in (_described(session, x) for x in value["sensors"])}
         twice = len(sensors) < len(value["sensors"])
     if stated != (_FORMAT, 1) or clock not in ("common", "own") or twice:
         raise InputError(
             f'{session} must say "format": "{_FORMAT}", "version": 1, "clock": "common" or "own", and name each sensor '
             "once; correct it."
         )
-    for where, cells in _rows_of(frames, _FRAMES, "frames.csv of a skeleton recording"):
-        _read_frame(where, cells, sensors)
-    for where, cells in _rows_of(skeleton, _SKELETON, "skeleton.csv of a skeleton recording"):
-        _read_joint(where, cells, sensors)
-    for sensor in sensors.values():
-        _add_rows(sensor, folder)
+    reports: dict[str, list[SensorReport]] = {name: [] for name in sensors}
+    times, maps = dict[tuple[str, int], float](), dict[tuple[str, int], str]()  # by sensor and frame
+    for where, cells in _rows_of(frames, _FRAMES, sensors):
+        with numbers_of(where):
+            at, time = (cells[0], int(cells[1])), float(cells[2])
+        if at in times:
+            raise InputError(f"{where}: the frame {at[1]} of sensor {cells[0]} is there twice.")
+        times[at] = time
+        if "".join(cells[3:4]):
+            maps[at] = cells[3]
+    bodies: dict[tuple[str, int], dict[int, tuple[Array, NDArray[np.uint8]]]] = {at: {} for at in times}
+    for where, cells in _rows_of(skeleton, _SKELETON, sensors):
+        _add_joint(where, cells, sensors[cells[0]].joints, bodies)
+    with_maps = {name for name, _ in maps}
+    for at, people in sorted(bodies.items()):  # the order of frame numbers is that of arrival
+        sensor, image = sensors[at[0]], None
+        lens = sensor.lens if at[0] in with_maps else None
+        if people and lens is not None and at in maps:
+            if not (folder / maps[at]).resolve().is_relative_to(folder.resolve()):
+                raise InputError(f"{frames} names the depth map {maps[at]!r}, which lies outside the folder.")
+            image = read_depth_png(folder / maps[at])
+        if not people:
+            reports[at[0]].append(empty_report(at[0], times[at]))
+        for person, (xyz, state) in people.items():
+            p = np.where(xyz > -9000, xyz * sensor.scale, xyz)
+            depth = None if lens is None else np.zeros(len(p))
+            depth = depth if lens is None or image is None else sample_depth(image, p, lens, sensor.y_up)
+            report = SensorReport(at[0], times[at], person, sensor.joints, p, state, joint_depth=depth)
+            reports[at[0]].append(report)
     return checked_recording(
         str(value.get("name", folder.resolve().name)),
-        [s.rows for s in sensors.values()],
+        reports,
         str(folder),
         {p.name: p for p in (session, frames, skeleton)},
         reference=value.get("reference"),
@@ -628,26 +607,20 @@ def read_folder(source: Source) -> SkeletonRecording:
     )
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Sensor:
-    """A sensor of a recording folder while it is read.
+    """A sensor of a recording folder.
 
-    rows: its bodies, in the order of frames.
-    scale: metres per unit.
-    intrinsics: fx, fy, cx, cy of its depth maps, px; None where it has none.
+    scale: metres per unit of positions.
+    lens: fx, fy, cx, cy of its depth maps, px; None where it has none.
     y_up: whether y of the positions points up.
-    times: time, s, of each frame.
-    depth: path of the depth map of a frame.
-    bodies: positions (J, 3), in the sensor's unit, and states (J,) of each frame and person.
     """
 
-    rows: StreamRows
+    name: str
+    joints: tuple[str, ...]
     scale: float
-    intrinsics: tuple[float, float, float, float] | None
+    lens: tuple[float, float, float, float] | None
     y_up: bool
-    times: dict[int, float] = field(default_factory=dict)
-    depth: dict[int, str] = field(default_factory=dict)
-    bodies: dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]] = field(default_factory=dict)
 
 
 def _described(path: Path, value: Mapping[str, Any]) -> _Sensor:
@@ -659,41 +632,30 @@ def _described(path: Path, value: Mapping[str, Any]) -> _Sensor:
             f"{path}: each sensor needs a name, a list of 1 to {MAX_JOINTS} different names of joints, and the unit m "
             "or mm; correct it."
         )
-    lens, y_up = None, False
-    if depth is not None:
-        fx, fy, cx, cy = map(float, depth["intrinsics"])
-        lens, y_up = (fx, fy, cx, cy), depth.get("y_up", False) is True
-        if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
-            raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
-    return _Sensor(StreamRows(name, tuple(joints)), SKELETON_UNITS[unit], lens, y_up)
+    if depth is None:
+        return _Sensor(name, tuple(joints), SKELETON_UNITS[unit], None, False)
+    fx, fy, cx, cy = map(float, depth["intrinsics"])
+    if not (0 < fx < 1e5 and 0 < fy < 1e5 and abs(cx) < 1e5 and abs(cy) < 1e5):
+        raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
+    return _Sensor(name, tuple(joints), SKELETON_UNITS[unit], (fx, fy, cx, cy), depth.get("y_up", False) is True)
 
 
-def _sensor_of(where: str, sensors: Mapping[str, _Sensor], cells: Sequence[str]) -> _Sensor:
-    if cells[0] not in sensors:
-        raise InputError(f"{where}: the sensor {cells[0]!r} is not in session.json.")
-    return sensors[cells[0]]
+def _add_joint(
+    where: str,
+    cells: Sequence[str],
+    joints: Sequence[str],
+    bodies: Mapping[tuple[str, int], dict[int, tuple[Array, NDArray[np.uint8]]]],
+) -> None:
+    """Add a row of skeleton.csv to the positions (J, 3) and states (J,) of its person.
 
-
-def _read_frame(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]) -> None:
-    """Add a row of frames.csv to its sensor; where: file and line."""
-    sensor = _sensor_of(where, sensors, cells)
-    with numbers_of(where):
-        number, time = int(cells[1]), float(cells[2])
-    if number in sensor.times:
-        raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
-    sensor.times[number] = time
-    if "".join(cells[3:4]):
-        sensor.depth[number] = cells[3]
-
-
-def _read_joint(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]) -> None:
-    """Add a row of skeleton.csv to the bodies of its sensor; where: file and line."""
-    sensor = _sensor_of(where, sensors, cells)
+    where: file and line.
+    joints: names of the sensor's J joints.
+    bodies: those of each person by the person's number, in every frame by sensor and number.
+    """
     with numbers_of(where):
         frame, person, state = int(cells[1]), int(cells[2] or 0), int(cells[7] or 2)
         xyz = [float(c or "nan") for c in cells[4:7]]
-    joints = sensor.rows.joint_names
-    if cells[3] not in joints or frame not in sensor.times:
+    if cells[3] not in joints or (cells[0], frame) not in bodies:
         raise InputError(f"{where}: the joint {cells[3]!r} or the frame {frame} is not in session.json or frames.csv.")
     if not 0 <= person < 2**63 or state not in (0, 1, 2) or any(map(math.isinf, xyz)):
         raise InputError(
@@ -701,44 +663,19 @@ def _read_joint(where: str, cells: Sequence[str], sensors: Mapping[str, _Sensor]
             f"got {person}, {state} and {xyz}."
         )
     nothing = np.full((len(joints), 3), np.nan), np.zeros(len(joints), dtype=np.uint8)
-    positions, states = sensor.bodies.setdefault((frame, person), nothing)
+    positions, states = bodies[cells[0], frame].setdefault(person, nothing)
     joint = joints.index(cells[3])
     positions[joint], states[joint] = xyz, state
 
 
-def _add_rows(sensor: _Sensor, folder: Path) -> None:
-    """Add the bodies to the sensor's rows in the order of frame numbers, which is the order of arrival.
-
-    folder: folder of the recording, which holds the depth maps.
-    """
-    lens, rows = sensor.intrinsics if sensor.depth else None, sensor.rows
-    by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {number: [] for number in sensor.times}
-    for (frame, person), (positions, state) in sensor.bodies.items():
-        scaled = np.where(positions > -9000, positions * sensor.scale, positions)
-        by_frame[frame].append((person, scaled, state))
-    for frame, seen in sorted(by_frame.items()):
-        image, name = None, sensor.depth.get(frame)
-        if not seen:
-            rows.empty.append(sensor.times[frame])
-        elif lens is not None and name is not None:
-            if not (folder / name).resolve().is_relative_to(folder.resolve()):
-                raise InputError(
-                    f"{folder / 'frames.csv'} names the depth map {name!r}, which lies outside the folder."
-                )
-            image = read_depth_png(folder / name)
-        for person, positions, state in seen:
-            rows.add(sensor.times[frame], person, positions, state)
-            if lens is not None:
-                none = np.zeros(len(positions))
-                rows.joint_depth.append(none if image is None else sample_depth(image, positions, lens, sensor.y_up))
-
-
-def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
-    """Read the rows of a CSV file after checking its header: file and line as text, and the cells."""
-    names, rows = csv_rows(path, kind)
+def _rows_of(path: Path, header: Sequence[str], sensors: Container[str]) -> Iterator[tuple[str, list[str]]]:
+    """Read the rows of a CSV file after checking its header and their sensor: file and line as text, and the cells."""
+    names, rows = csv_rows(path, f"{path.name} of a skeleton recording")
     if names[: len(header)] != list(header):
         raise InputError(f"{path}: the first line must be {','.join(header)}.")
     for number, cells in rows:
+        if cells[0] not in sensors:
+            raise InputError(f"{path}: line {number}: the sensor {cells[0]!r} is not in session.json.")
         yield f"{path}: line {number}", cells
 
 
@@ -762,63 +699,41 @@ class FolderWriter:
         self._frames = self._folder.table("frames.csv", _FRAMES)
         self._skeleton = self._folder.table("skeleton.csv", _SKELETON)
 
-    def add(
-        self,
-        sensor: str,
-        time: float,
-        person: int | None,
-        joint_names: Sequence[str],
-        positions: Array,
-        state: NDArray[np.uint8],
-    ) -> None:
+    def add(self, report: SensorReport) -> None:
         """Write one body. Bodies of the same sensor frame come one after another with equal times.
 
-        time: s.
-        person: the sensor's number of the person; None where the sensor saw no person.
-        joint_names: names of the J joints, the same for all bodies of the sensor.
-        positions: (J, 3) m.
-        state: (J,) 0 not tracked, 1 inferred, 2 tracked.
         Raises: InputError where the folder cannot be written.
         """
+        sensor = report.sensor
         with self._folder.writing():
-            if sensor not in self._joints and person is not None:
-                self._joints[sensor] = tuple(joint_names)
+            if sensor not in self._joints and report.person is not None:
+                self._joints[sensor] = report.joint_names
                 sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
                 about = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock}
                 write_text(self.folder / "session.json", to_json(about | {"sensors": sensors}))
             number, last = self._frame.get(sensor, (-1, math.nan))
-            if time != last:
+            if report.time != last:
                 number += 1
-                self._frame[sensor] = (number, time)
-                self._frames.write(f"{sensor},{number},{time:.6f}\n")
-            if person is None:
-                return
-            rows = [
-                f"{sensor},{number},{person},{joint},{x:.5f},{y:.5f},{z:.5f},{s}\n"
-                for joint, (x, y, z), s in zip(joint_names, positions.tolist(), state.tolist(), strict=True)
-                if s
-            ]
-            self._skeleton.write("".join(rows))
+                self._frame[sensor] = (number, report.time)
+                self._frames.write(f"{sensor},{number},{report.time:.6f}\n")
+            rows = zip(report.joint_names, report.positions.tolist(), report.state.tolist(), strict=True)
+            for joint, (x, y, z), state in rows:
+                if state:
+                    self._skeleton.write(f"{sensor},{number},{report.person},{joint},{x:.5f},{y:.5f},{z:.5f},{state}\n")
 
     def flush(self) -> None:
         """Flush the files to the system.
 
         Raises: InputError where they cannot be written or were removed.
         """
-        with self._folder.writing():
-            self._frames.flush()
-            self._skeleton.flush()
-        self._folder.check()
+        self._folder.flush()
 
     def close(self) -> None:
         """Close the files, and remove the frames of sensors that saw no person, which session.json does not list.
 
         Raises: InputError where they could not be written or were removed.
         """
-        with self._folder.writing():
-            for stream in (self._frames, self._skeleton):
-                stream.close()
-        self._folder.check()
+        self._folder.close()
         silent = set(self._frame) - set(self._joints)
         if silent:
             path = self.folder / "frames.csv"
@@ -855,7 +770,7 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
     person_column = at.get("Person_Id", at.get("Skeleton_Id"))
     time_column, turned = at["Tracker_Time"], [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
     turns: dict[str, Array] = {}
-    sensors: dict[str, StreamRows] = {}
+    found: dict[str, list[SensorReport]] = {}
     for number, cells in lines:
         with numbers_of(f"{path}: line {number}"):
             time = float(cells[time_column]) * 1e-3
@@ -869,13 +784,13 @@ def read_kinect_csv(source: Source) -> SkeletonRecording:
             first = next(iter(turns.values()))
             back = so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
             values[known] = (values[known] - [0.0, 0.0, first[1]]) @ back + [0.0, 0.0, own[1]]
-        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
+        tracked = np.full(len(joints), 2, np.uint8)
+        found.setdefault(name, []).append(SensorReport(name, time, person, joints, values, tracked))
     # seconds since the year 1 would lose microseconds in later arithmetic
-    zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
-    for rows in sensors.values():
-        rows.times = [t - zero for t in rows.times]
+    zero = min((r.time for of_sensor in found.values() for r in of_sensor), default=0.0)
+    sensors = {name: [replace(r, time=r.time - zero) for r in of_sensor] for name, of_sensor in found.items()}
     title = path.name.removesuffix(".gz").removesuffix(".csv")
-    return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
+    return checked_recording(title, sensors, str(path), {path.name: path})
 
 
 def read_azure(source: Source) -> SkeletonRecording:
@@ -886,24 +801,24 @@ def read_azure(source: Source) -> SkeletonRecording:
 
     Raises: InputError where a file is not of this format.
     """
-    paths, sensors = source.files(".json"), []
+    paths, sensors = source.files(".json"), dict[str, list[SensorReport]]()
     for path in paths:
         with numbers_of(str(path)):
             value = _json(path)
-            rows = StreamRows(text_of(path.stem), tuple(map(str, value["joint_names"])))
-            frames = list(value["frames"])
+            joints, frames = tuple(map(str, value["joint_names"])), list(value["frames"])
+        name = text_of(path.stem)
+        of_sensor = sensors.setdefault(name, [])
         for i, frame in enumerate(frames):
             with numbers_of(f"{path}, frame {i}"):
                 time = float(frame["timestamp_usec"]) * 1e-6
                 for body in frame["bodies"]:
-                    xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(rows.joint_names), 3) * 1e-3
+                    xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(joints), 3) * 1e-3
                     state = np.array(body.get("confidence_level", [2] * len(xyz)), dtype=np.uint8).reshape(len(xyz))
-                    rows.add(time, int(body["body_id"]), xyz, np.minimum(state, 2))
+                    of_sensor.append(SensorReport(name, time, int(body["body_id"]), joints, xyz, np.minimum(state, 2)))
                 if not frame["bodies"]:
-                    rows.empty.append(time)
-        sensors.append(rows)
-    inputs, name = {p.name: p for p in paths}, text_of(paths[0].stem)
-    return checked_recording(name, sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
+                    of_sensor.append(empty_report(name, time))
+    inputs = {p.name: p for p in paths}
+    return checked_recording(next(iter(sensors)), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
 
 
 def _json(path: Path) -> Any:

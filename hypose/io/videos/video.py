@@ -20,7 +20,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Protocol
 
 import cv2
@@ -475,91 +474,82 @@ def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> c
 
 
 class VideoWriter:
-    """Writer of frames (h, w, 3), uint8 BGR, to a video; a context manager.
+    """Writer of frames (h, w, 3), uint8 BGR, to a video; open it with `writing_video`.
 
-    The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .webm VP8 (browsers show it, it
-        takes ten times as long), .avi motion JPEG, .mkv FFV1 (lossless).
-    The file has another name until it is complete, and is then checked; after an exception in the block nothing
-        remains.
+    path: the file, for error messages.
+    writer: OpenCV's writer.
+    size: width and height, px.
 
-    frame_rate: frames/s.
-    size: width and height, px; rounded down to even numbers, as codecs need them.
-    Raises: InputError where the file cannot be written.
+    Attributes:
+    n_frames: number of frames written so far.
     """
 
-    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int]) -> None:
-        self.path: Path = Path(path)
-        self.frame_rate: float = float(frame_rate)
-        self.size: tuple[int, int] = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
+    def __init__(self, path: Path, writer: cv2.VideoWriter, size: tuple[int, int]) -> None:
+        self._path, self._writer, self.size = path, writer, size
         self.n_frames: int = 0
-        faults = {
-            f": name the video {', '.join(_CODECS)}": self.path.suffix.lower() not in _CODECS,
-            f" with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; give a positive frame rate and at least 2 x "
-            "2 px": not 0 < self.frame_rate < 10_000 or min(self.size) < 2,
-        }
-        refuse(f"{self.path} cannot be written", faults)
-        self._writer: cv2.VideoWriter | None = None
-        self._closing = contextlib.ExitStack()
-
-    def __enter__(self) -> VideoWriter:
-        with contextlib.ExitStack() as stack:
-            self._temporary = stack.enter_context(atomic_path(self.path))
-            self._writer = self._open()
-            stack.push(self._finish)
-            self._closing = stack.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._closing.__exit__(kind, error, trace)
-
-    def _open(self) -> cv2.VideoWriter:
-        codecs = _CODECS[self.path.suffix.lower()]
-        for codec in codecs:
-            with quiet(), utf8_path(self._temporary) as name:
-                writer = cv2.VideoWriter(
-                    name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), self.frame_rate, self.size
-                )
-            if writer.isOpened():
-                return writer
-        raise InputError(
-            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(codecs)}; "
-            f"choose another ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
-        )
 
     def write(self, image: Image) -> None:
         """Append one frame (h, w, 3) uint8 BGR of the writer's size.
 
         Raises: InputError where the frame has another size or type.
         """
-        assert self._writer is not None  # it is used in a with block
         h, w = image.shape[:2]
         if (w // 2 * 2, h // 2 * 2) != self.size or image.ndim != 3 or image.dtype != np.uint8:
             raise InputError(
-                f"{self.path}: frame {self.n_frames} is {image.shape} {image.dtype}, needed are "
+                f"{self._path}: frame {self.n_frames} is {image.shape} {image.dtype}, needed are "
                 f"{self.size[0]} x {self.size[1]} px, three channels, uint8; scale it first."
             )
         self._writer.write(np.ascontiguousarray(image[: self.size[1], : self.size[0]]))
         self.n_frames += 1
 
-    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the file and count its frames, because OpenCV reports no write errors."""
-        if self._writer is not None:
-            self._writer.release()
-            self._writer = None
-        if kind is not None:
-            return
-        if self.n_frames == 0:
-            raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
-        try:
-            written = count_frames(self._temporary)
-        except InputError:
-            written = 0
-        if written != self.n_frames:
+
+@contextlib.contextmanager
+def writing_video(path: str | Path, frame_rate: float, size: tuple[int, int]) -> Iterator[VideoWriter]:
+    """Write a video within a with block.
+
+    The ending determines the codec: .mp4 MPEG-4 (players show it, browsers do not), .webm VP8 (browsers show it, it
+        takes ten times as long), .avi motion JPEG, .mkv FFV1 (lossless).
+    The file has another name until it is complete, and its frames are then counted, because OpenCV reports no write
+        errors; after an exception in the block nothing remains.
+
+    frame_rate: frames/s.
+    size: width and height, px; rounded down to even numbers, as codecs need them.
+    Raises: InputError where the file cannot be written.
+    """
+    path, even = Path(path), (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
+    codecs = _CODECS.get(path.suffix.lower(), ())
+    faults = {
+        f": name the video {', '.join(_CODECS)}": not codecs,
+        f" with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; give a positive frame rate and at least 2 x "
+        "2 px": not 0 < frame_rate < 10_000 or min(even) < 2,
+    }
+    refuse(f"{path} cannot be written", faults)
+    with atomic_path(path) as temporary:
+        with quiet(), utf8_path(temporary) as name:
+            made = (
+                cv2.VideoWriter(name, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), float(frame_rate), even)
+                for codec in codecs
+            )
+            opened = next((one for one in made if one.isOpened()), None)
+        if opened is None:
             raise InputError(
-                f"{self.path} could not be completed: {written} of {self.n_frames} frames arrived on the "
-                "disk, which may be full; free some space and write it again."
+                f"{path} cannot be written: this OpenCV has no encoder for {' or '.join(codecs)}; choose another "
+                f"ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
+            )
+        writer = VideoWriter(path, opened, even)
+        try:
+            yield writer
+        finally:
+            opened.release()
+        if writer.n_frames == 0:
+            raise InputError(f"{path} was not written because no frame was given; choose a range with frames.")
+        written = 0
+        with contextlib.suppress(InputError):
+            written = count_frames(temporary)
+        if written != writer.n_frames:
+            raise InputError(
+                f"{path} could not be completed: {written} of {writer.n_frames} frames arrived on the disk, which may "
+                "be full; free some space and write it again."
             )
 
 

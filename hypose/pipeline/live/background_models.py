@@ -27,7 +27,7 @@ from hypose.evidence.silhouettes import (
     bounding_box,
 )
 from hypose.geometry import DepthMap, Image, Mask
-from hypose.io.recordings.recording_views import DepthPreparer, Preparer, mask_in, places_in_stored
+from hypose.io.recordings.recording_views import Preparer, depth_preparer, mask_in, places_in_stored
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -82,9 +82,9 @@ class ViewBackground:
 
     def due(self, time: float) -> bool:
         """Return whether an update of the background is due at a time (s): the background is known, and its last
-        update is long enough ago.
+        update is a second ago.
         """
-        return self.background is not None and time - self._learnt >= SETTINGS.scene_every_s
+        return self.background is not None and time - self._learnt >= 1.0
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Update the background to slow changes of the scene; call it when an update is due.
@@ -178,7 +178,7 @@ class DepthViewBackground:
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
     ) -> None:
-        self._prepare, self.background = DepthPreparer(camera, small, shift), background
+        self._prepare, self.background = depth_preparer(camera, small, shift), background
         self._focal_px = float(small.K[0, 0])
         self.seen: Millimetres | None = None
         """(h, w) mm: the last map that was segmented."""

@@ -17,7 +17,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.warming import TRACKING_KERNELS, warm_up
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
-from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_models import depth_of
 from hypose.pipeline.live.background_work import BackgroundWork
@@ -141,7 +140,7 @@ class LiveEngine:
         self.ended = threading.Event()
         self.failed: BaseException | None = None
         self._capture: CaptureProcess | None = None
-        self._executor = ThreadPoolExecutor(min(people, SETTINGS.engine_searches), thread_name_prefix="start")
+        self._executor = ThreadPoolExecutor(min(people, 2), thread_name_prefix="start")
         self._work = BackgroundWork() if measure else None
         self._people = self._new_people()
         self._areas: deque[NDArray[np.int64]] = deque(maxlen=SETTINGS.engine_history)
@@ -228,7 +227,7 @@ class LiveEngine:
             if phase == STATE_TRACKING and p.motion.poses is not None
         )
         # leave the processor to a search: make no more instants than it uses
-        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
+        pause = 0.5 / SETTINGS.people_fit_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         learn, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
         return CaptureRequest(
@@ -280,7 +279,7 @@ class LiveEngine:
         reasons = ["no picture" if m is None else w for m, w in zip(masks, why, strict=True)]
         silhouettes = make_silhouettes(masks, self.small, reasons)
         outlines = [None if v is None else v[1] for v in captured.views]
-        make_ahead(silhouettes, lambda: outlines)
+        silhouettes.announce_outlines(lambda: outlines)
         depth = depth_of(silhouettes, captured.depths) if any_depth(self.views) else None
         frame = Frame(captured.time, self._frames, silhouettes, depth=depth)
         self._frames += 1

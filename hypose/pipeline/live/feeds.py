@@ -115,7 +115,7 @@ class CameraFeed:
             return float("nan")
         steps = np.diff(self._pace)
         usual = float(np.median(steps))
-        mean = float(_without_pauses(steps).mean())
+        mean = float(steps[steps < max(SETTINGS.feeds_gone_s, 2 * usual)].mean())  # without pauses
         return usual if usual > 0.5 * mean else mean  # a network may deliver pictures in bunches
 
     def _run(self) -> None:
@@ -175,10 +175,6 @@ class CameraFeed:
             self._received += 1
             self._trouble = ""
             self._arrived.notify_all()
-
-
-def _without_pauses(steps: Array) -> Array:
-    return steps[steps < max(SETTINGS.feeds_gone_s, 2 * float(np.median(steps)))]
 
 
 @dataclass(frozen=True)

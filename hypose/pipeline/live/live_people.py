@@ -25,7 +25,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.people import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
@@ -33,12 +33,13 @@ from hypose.pipeline.frame_anomalies import looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, KeptFrame
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject import TrackedSubject
-from hypose.pipeline.track_loop import Member, TrackedPerson, TrackingSession, step_together, tracker_of
+from hypose.pipeline.track_loop import Member, PeopleManager, TrackedPerson, TrackingSession, step_together, tracker_of
 from hypose.pipeline.track_management import (
     birth_candidates,
     candidate_evidence,
     explained_by,
     follow_places,
+    frames_together,
     part_doubles,
 )
 from hypose.pipeline.track_options import TrackOptions
@@ -116,7 +117,7 @@ class LiveSearch:
         except EvidenceError:
             if self._crowded:  # search less often: the tracked people need the processor
                 self._failed += 1
-                self._not_before = self._last + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
+                self._not_before = self._last + min(2.0 * 2**self._failed, SETTINGS.search_seldom_s)
             return []
         self.phase, self._failed = STATE_EMPTY, 0
         return found
@@ -129,7 +130,7 @@ class LiveSearch:
         body, height: body and height of the new person, where known; height in m.
         """
         passed = frame.time - self._last
-        if frame.time < self._not_before or passed < 0.9 / SETTINGS.search_slowly_hz:
+        if frame.time < self._not_before or passed < 0.9 / SETTINGS.people_fit_hz:
             return
         shown, searching = _largest_person(frame, others), self._search is not None
         if not searching and (not shown or passed > SETTINGS.search_gap_s):
@@ -153,12 +154,12 @@ class LiveSearch:
         for frames in _each_alone(looks, most) if self.several else [[frame for frame, _ in looks]]:
             prepared = [prepare(f, template, zero) for f in frames]
             best = weigh_starts(starts_in_frame(template, prepared[0], height), prepared[1:]).best
-            if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
-                slow = options.tracker(best.body, SETTINGS.search_slowly_hz)
+            if mean_overlap(best.body, best.pose, prepared[0]) >= 0.5:
+                slow = options.tracker(best.body, SETTINGS.people_fit_hz)
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
             raise EvidenceError("No body explains the masks.")
-        alone, step_s, spent = not self.several, 1 / SETTINGS.search_slowly_hz, 0.0
+        alone, step_s, spent = not self.several, 1 / SETTINGS.people_fit_hz, 0.0
         for frame, others in looks:
             members = step_together(members, frame, others=others, alone=alone)[0]
         last = looks[-1][0].time
@@ -204,7 +205,7 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
     """Make the evidence of each new person in the hull of the first frame; those who are not in most of the frames are
     left out.
     """
-    paths = follow_places(lambda t: looks[t][0], range(len(looks)), SETTINGS.search_slowly_hz, lambda t: looks[t][1])
+    paths = follow_places(lambda t: looks[t][0], range(len(looks)), SETTINGS.people_fit_hz, lambda t: looks[t][1])
     out = list[list[Frame]]()
     for path in [p for p in paths if 0 in p.found and len(p.found) > len(looks) // 2][:most]:
         at = [(*looks[t], path.found[t], [p.found[t] for p in paths if t in p.found]) for t in path.found]
@@ -254,11 +255,6 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
-def _together(rate: float) -> int:
-    """Return the number of frames after which two people in one place are taken for one; rate: Hz."""
-    return max(2, round(SETTINGS.people_together_s * rate))
-
-
 class LiveTrack(TrackedPerson):
     """Live track of one person, for the session of `LivePeople`. For each frame call `prepare`, let the session track
     it, and call `look`; then `pose` gives the pose, and `judge` updates its error probabilities.
@@ -275,7 +271,7 @@ class LiveTrack(TrackedPerson):
     Attributes:
     body: the person's own body; None: not known yet.
     offsets: (C,) delays of the cameras, s; None: not known yet.
-    given_up: the person has been lost for too long.
+    given_up: the person has been lost for more than two seconds, and is searched as at the start.
     estimates: of the last frames, which show whether two people stay in one place.
     """
 
@@ -341,14 +337,14 @@ class LiveTrack(TrackedPerson):
         passed, estimate = frame.time - self._time, self.estimates[-1]
         self._whole, self._frame = whole, frame
         self._time, self._step_s = frame.time, max(passed, 1e-3)
-        del self.estimates[: -_together(self.rate)]
+        del self.estimates[: -frames_together(self.rate)]
         if self._shift is not None:
             shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
             self._shift = shift if np.abs(shift).max() > 1e-4 else None
         self._compare_sides(frame, estimate)
         if estimate.lost:
             self._lost_since = frame.time if self._lost_since is None else self._lost_since
-            self.given_up = frame.time - self._lost_since > SETTINGS.live_give_up_s
+            self.given_up = frame.time - self._lost_since > 2.0
         else:
             self._lost_since = None
             self._measure(frame)
@@ -361,7 +357,9 @@ class LiveTrack(TrackedPerson):
         joints = np.asarray(motion.joints[0], np.float64)
         if self._shift is not None:
             joints = joints + self._shift
-        return LivePose(self.number, frame.index, frame.time, motion, tracker.body, joints, frame.usable_views)
+        return LivePose(
+            self.number, frame.index, frame.time, motion, tracker.body, joints, frame.the(Silhouettes).usable
+        )
 
     def judge(self) -> None:
         """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""
@@ -391,7 +389,7 @@ class LiveTrack(TrackedPerson):
         Returns: state and time where it costs less than the tracked body, else None.
         """
         slow, give_up = (
-            self.options.tracker(body, SETTINGS.search_slowly_hz),
+            self.options.tracker(body, SETTINGS.people_fit_hz),
             SETTINGS.live_shared if self._shared else SETTINGS.live_give_up,
         )
         state, last = slow.start(slow.rival(pose, first)), first.time
@@ -399,7 +397,7 @@ class LiveTrack(TrackedPerson):
         for _ in range(SETTINGS.live_duel):
             try:
                 frame, cost = frames.get(timeout=SETTINGS.search_gap_s)
-                while frame.time - last < 0.9 / SETTINGS.search_slowly_hz:
+                while frame.time - last < 0.9 / SETTINGS.people_fit_hz:
                     frame, cost = frames.get(timeout=SETTINGS.search_gap_s)
             except queue.Empty:
                 return None
@@ -418,7 +416,7 @@ class LiveTrack(TrackedPerson):
         self._usual_s += SETTINGS.live_pace * (passed - self._usual_s)
         rate = self.member.tracker.settings.frame_rate
         if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
-            pace = float(np.clip(1 / self._usual_s, SETTINGS.search_slowly_hz, self.rate))
+            pace = float(np.clip(1 / self._usual_s, SETTINGS.people_fit_hz, self.rate))
             self.member = replace(self.member, tracker=self.options.tracker(self.member.tracker.body, pace))
 
     def _measure(self, frame: Frame) -> None:
@@ -436,7 +434,7 @@ class LiveTrack(TrackedPerson):
         passed = frame.time - self._kept[0].time
         rate = (len(self._kept) - 1) / max(passed, 1e-3)
         if wants_body and passed > SETTINGS.live_fitted_s:
-            step = max(1, round(rate / SETTINGS.search_slowly_hz))
+            step = max(1, round(rate / SETTINGS.people_fit_hz))
             some = self._kept[-round(SETTINGS.live_fitted_s * rate) :: step]
             self._fit = self._work.body(some, rate / step, self.options.height, self.options.track.seed)
         if passed > SETTINGS.live_sync_s:
@@ -521,7 +519,7 @@ class LiveErrorModel:
             self._p, self._low_confidence = p[-1:], joints[-1:]
 
 
-class LivePeople:
+class LivePeople(PeopleManager):
     """Live tracking of all people; call `step` with every frame. It never waits.
 
     rig: cameras of the masks.
@@ -544,7 +542,7 @@ class LivePeople:
         most: int = 1,
     ) -> None:
         self._rig, self._rate, self._options, self._executor, self._work = rig, rate, options, executor, work
-        self.most = most
+        self.most, self.alone = most, most == 1
         self._session = TrackingSession([], rate, self)
         self.offsets: Array | None = None
         self._known: Body | None = options.body
@@ -554,11 +552,6 @@ class LivePeople:
     def people(self) -> list[LiveTrack]:
         """Tracks of the people, in the order of their numbers."""
         return [p for p in self._session.people if isinstance(p, LiveTrack)]
-
-    @property
-    def alone(self) -> bool:
-        """Whether all of the masks are evidence for one person."""
-        return self.most == 1
 
     @property
     def phase(self) -> str:
@@ -589,10 +582,6 @@ class LivePeople:
         self._session.step(frame)
         return self.people
 
-    def keypoints(self, people: Sequence[TrackedPerson], t: int, /) -> Sequence[Keypoints | None]:
-        """Return no key points: live people are tracked by masks or depth."""
-        return ()
-
     def manage(self, session: TrackingSession, frame: Frame, seen: Sequence[Frame], /) -> None:
         """Look after the people when a frame has been tracked: give up who was lost or found twice, and search others.
 
@@ -606,7 +595,7 @@ class LivePeople:
             if p.given_up and self.alone:
                 self._known = p.body  # the next person counts as the same one
         people = [p for p in people if not p.given_up]
-        part_doubles(people, _together(self._rate))
+        part_doubles(people, self._rate)
         session.people = [p for p in people if p.member.present]
         if len(session.people) < self.most:
             self._look(frame)

@@ -111,13 +111,13 @@ class LiveRecorder(Listener):
         write_recording(recording, self.folder)
 
     def _rate(self) -> float:
-        """Compute the rate (Hz) while a person was tracked, without pauses: before that, instants are processed less
-        often.
+        """Compute the rate (Hz) while a person was tracked, without pauses of a second: before that, instants are
+        processed less often.
         """
         steps, followed = np.diff(self._times), np.array(self._followed)
         known = followed[1:] & followed[:-1]
         steps = steps[known] if known.any() else steps
-        return float(1 / steps[steps < max(SETTINGS.recorder_pause_s, 2 * np.median(steps))].mean())
+        return float(1 / steps[steps < max(1.0, 2 * np.median(steps))].mean())
 
     def _run(self) -> None:
         poses: TextIO | None = None

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.synthetic.wandering import RATE, wander
 from hypose.io.keypoints.detectors import have_models
 from hypose.io.motions.results import load_motion
-from hypose.io.videos.video import VideoWriter
+from hypose.io.videos.video import writing_video
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.subjects import dress, load_subjects
 from hypose.synthetic.write_recording import write_truth
@@ -38,7 +38,7 @@ def phones(tmp_path_factory):
     subject = dress(subjects[sorted(subjects)[0]], 0.02, rng)
     scene = make_scene(wander(subject, _FRAMES / RATE + 2, rng), subject, camera_rig("humaneva-4"), seed=3)
     for view, late in enumerate(LATE):
-        with VideoWriter(root / "phones" / f"phone{view + 1}.mp4", RATE, scene.rig[view].size) as video:
+        with writing_video(root / "phones" / f"phone{view + 1}.mp4", RATE, scene.rig[view].size) as video:
             for frame in range(_FRAMES):
                 video.write(scene.rgb_frame(view, _FIRST + frame - late))
     write_truth(scene, root)
