@@ -29,7 +29,7 @@ from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run
 from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
-from hypose.io.files import check_writable, file_name, read_json, text_lines
+from hypose.io.files import file_name, read_json, text_lines
 from hypose.io.motions.results import provenance_identity, to_json, write_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
@@ -284,19 +284,18 @@ def run_batch(
     """Track the recordings of all tasks by worker processes.
 
     tasks: planned tasks; finished ones are not tracked again.
-    results: folder of all results.
+    results: folder of all results, which is there.
     workers: number of processes on this computer.
     threads: threads of each worker; None: the cores are shared among the workers.
     scheduler: address of a running Dask scheduler, used instead of own processes.
     Returns: a row of the table for every task, in state "done", "failed" or "stopped"; the column before is True
         where the task had been finished earlier. After a KeyboardInterrupt, tasks that run save their work and are
         "stopped"; a second KeyboardInterrupt returns at once, with checkpoints kept.
-    Raises: InputError where the workers cannot be started or the folder cannot be written.
+    Raises: InputError where the workers cannot be started.
     """
     out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:
-        check_writable(results)
         stop = results.absolute() / f".stop-{os.getpid()}-{time.time_ns()}"
         if scheduler is None:
             compile_before(progress)  # once, and not by every worker at the same time

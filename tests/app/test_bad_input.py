@@ -130,7 +130,6 @@ CANNOT_BE = [
     ("batch TINY --scheduler tcp://127.0.0.1:1 --workers 2", "leave --workers"),
     ("batch TINY --formats fbx", "fbx"),
     ("keypoints TINY --detector none.py:D", "does not exist"),
-    ("play nowhere", "does not exist"),
     ("report nowhere", "does not exist"),
     ("report .", "motion.npz does not exist"),
     ("view nowhere", "does not exist"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.commands.commands_sync import keep_offsets
-from hypose.app.commands.console import Stages, print_notes, print_table, say
+from hypose.app.commands.console import Stages, print_notes, print_table, say, say_each
 from hypose.app.jobs.checking import check_picture, write_image
 from hypose.app.jobs.person_job import detected
 from hypose.app.options import CalibrateCommand
@@ -127,7 +127,8 @@ def _show_points(result: PointCalibration) -> None:
         rows.append((camera.name, str(len(errors)), *fit))
     columns = ("camera", "points", "worst point (px)", "focal (px)", _PLACE)
     print_table(f"Fit of the points: {result.rms_px:.2f} px rms", columns, rows)
-    _say_notes(result)
+    say_each(result.notes, "note: ")
+    say_each(result.warnings, "warning: ", "yellow")
 
 
 def _from_boards(c: CalibrateCommand, sheet: Path) -> CameraRig:
@@ -179,7 +180,8 @@ def _show(result: BoardCalibration) -> None:
     ]
     columns = ("camera", "boards", "left out", "area", "rms (px)", "focal (px)", _PLACE)
     print_table(f"Joint fit of all boards: {fit.rms_px:.2f} px rms", columns, rows)
-    _say_notes(result)
+    say_each(result.notes, "note: ")
+    say_each(result.warnings, "warning: ", "yellow")
 
 
 _PLACE = "position +- uncertainty (m)"
@@ -188,13 +190,6 @@ _PLACE = "position +- uncertainty (m)"
 def _place(camera: Camera, sd: float) -> str:
     """Format the position of a camera, with its standard deviation (m), for a table."""
     return " ".join(f"{x:.3f}" for x in camera.position) + (f" +- {sd:.3f}" if np.isfinite(sd) else "")
-
-
-def _say_notes(result: PointCalibration | BoardCalibration) -> None:
-    for text in result.notes:
-        say(f"note: {text}")
-    for text in result.warnings:
-        say(f"warning: {text}", "yellow")
 
 
 # ---- from a person -----------------------------------------------------------------------------------------------
@@ -294,5 +289,4 @@ def _show_person(found: PersonCalibration) -> None:
     ]
     columns = ("camera", "late (frames)", "focal (px)", _PLACE, "turned by (deg)")
     print_table(f"Fit of the person's key points: {found.median_px:.1f} px median", columns, rows)
-    for text in found.approximate:
-        say(f"warning: approximate: {text}.", "yellow")
+    say_each((f"{text}." for text in found.approximate), "warning: approximate: ", "yellow")

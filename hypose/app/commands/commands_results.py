@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from hypose import __version__
-from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say
+from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say, say_each
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, claimed, read_json
@@ -34,8 +34,7 @@ def export(
     names = split_names(formats)
     with claimed(target), Stages() as progress:
         written = [p for name in each(progress, "export", names) for p in export_motion(motion, body, target, (name,))]
-    for path in written:
-        say(str(path))
+    say_each(written)
 
 
 def report(
@@ -69,8 +68,7 @@ def explain(
     """Explain where a joint of a frame comes from: its evidence, the passes that moved it, where else it may be."""
     from hypose.app.jobs.explain import explain_joint
 
-    for line in explain_joint(results, joint, frame):
-        say(line)
+    say_each(explain_joint(results, joint, frame))
 
 
 def gait(
@@ -93,8 +91,7 @@ def gait(
         say(f"{f.name.replace('_', ' ')}: {f.mean:.3f} {f.unit} ({f.low:.3f} to {f.high:.3f} with 90 %), n = {f.n}")
     if not found.steps:
         say("Nobody walks two steps in this motion, as far as the feet show.")
-    for path in written:
-        say(str(path))
+    say_each(written)
 
 
 def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:

@@ -75,6 +75,12 @@ def say(text: str = "", style: str | None = None) -> None:
     _console(sys.stdout).print(visible(text), style=style, markup=False)
 
 
+def say_each(texts: Iterable[object], before: str = "", style: str | None = None) -> None:
+    """Print a line of results for each text; before: its first word; style: as for `say`."""
+    for text in texts:
+        say(f"{before}{text}", style)
+
+
 def counted(count: int, what: str) -> str:
     """Format a number with its noun in the singular or plural: "1 frame", "2 frames"."""
     return f"{count} {what}{'s' * (count != 1)}"

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from click.exceptions import Exit
 
-from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_table, say
+from hypose.app.commands.console import ProgressCall, Stages, counted, each, ignore, print_table, say, say_each
 from hypose.app.options import CheckCommand
 from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import Canvas, Drawing, open_images
@@ -53,8 +53,7 @@ def check(c: CheckCommand) -> None:
     for name in c.keep:
         loaded.rig.select([name])
     print_cameras(loaded)
-    for text in loaded.notes:
-        say(f"note: {text}")
+    say_each(loaded.notes, "note: ")
     path = c.out or loaded.folder / "results" / "check.png"
     check_writable(path.parent)
     if c.refine:
@@ -76,10 +75,8 @@ def check(c: CheckCommand) -> None:
         "page": "check.html" if report is not None else None,
     }
     write_text(path.with_suffix(".json"), to_json(json_values(found)))
-    for text in facts:
-        say(text)
-    for text in warnings:
-        say(f"warning: {text}", "yellow")
+    say_each(facts)
+    say_each(warnings, "warning: ", "yellow")
     if report is not None:
         _print_report(report)
         say(f"Page: {path.with_suffix('.html')}")
@@ -124,8 +121,7 @@ def _refine(loaded: Recording, cured: Cured | None, c: CheckCommand) -> None:
             progress=progress,
         )
     target = c.to or free_path(loaded.folder / "results", "calibration_refined", ".toml")
-    for text in result.notes:
-        say(f"note: {text}")
+    say_each(result.notes, "note: ")
     why = ""
     if not _print_changes(result):
         why = "The refined calibration is not better on frames that it was not found on; nothing is written."

@@ -11,7 +11,7 @@ from click.exceptions import Exit
 
 from hypose import __version__
 from hypose.app.commands.commands_results import tell_untrusted
-from hypose.app.commands.console import Stages, counted, each, print_notes, say
+from hypose.app.commands.console import Stages, counted, each, print_notes, say, say_each
 from hypose.app.options import CompareCommand
 from hypose.app.reports.report_parts import html_list, html_table, number_text, page, write_csv
 from hypose.body.default_body import JOINT_NAMES
@@ -57,8 +57,7 @@ def compare(c: CompareCommand) -> None:
             say(f"{other}: {counted(len(degrees), 'angle')}, offsets aside: RMSE {span}")
     say(f"Table: {folder / 'compare.csv'}")
     say(f"Page:  {folder / 'compare.html'}")
-    for text in failed:
-        say(text, "yellow")
+    say_each(failed, style="yellow")
     if failed:
         raise Exit(1)
 

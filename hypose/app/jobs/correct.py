@@ -25,7 +25,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.files import claimed, read_json
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
@@ -101,7 +101,6 @@ def correct(
     with claimed(folder), Stages() as progress:
         if folder.resolve() == results.resolve():
             raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
-        check_writable(folder)
         motion, body = _tracked_again(recording, results, correction, progress)
         TrackResult(motion, body, True, ()).save(folder)
         for name in each(progress, "export", names):

@@ -37,7 +37,7 @@ from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.files import check_writable, claimed, file_name
+from hypose.io.files import claimed, file_name
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import provenance, results_folder, save_motion, to_json, write_json
 from hypose.io.sensors.skeleton_files import (
@@ -105,7 +105,6 @@ def run_fuse(
         raise InputError(
             f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
         )
-    check_writable(results)
     notes = list(recording.notes)
     progress("prepare", 0, 1)
     streams = _ordered(recording, c)
