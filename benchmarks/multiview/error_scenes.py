@@ -387,7 +387,7 @@ def load_all(folder: Path) -> list[Tracked]:
 
 
 def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
-    """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
+    """What `with_fitted_joints` and `with_angle_variance` were given of V: for fitting anew."""
     joints, angles = (fitted_spread_table()[what][evidence] for what in ("joints", "angles"))
     _, by_joint, by_angle = apart_factors(evidence)
     a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T

@@ -41,10 +41,11 @@ from hypose.pipeline.track_loop import PeopleManager, StageProgress, TrackedPers
 from hypose.pipeline.track_options import TrackOptions
 from hypose.tracking.arm_hypotheses import SEARCH_ROLES
 from hypose.tracking.covariance_calibration import (
+    angle_variance,
     beyond_usual,
     pose_covariance,
     systematic_covariance,
-    with_fitted_angles,
+    with_angle_variance,
     with_fitted_joints,
 )
 from hypose.tracking.error_model import (
@@ -465,16 +466,16 @@ def _with_errors(clip: ClipState, known: str | None, points: Sequence[Keypoints 
     """
     motion, subject, audit, covariance = clip.motion, clip.who, clip.audit, clip.covariance
     assert motion is not None and audit is not None and covariance is not None and clip.one_by_one is not None
-    evidence = known or evidence_of(audit)
+    assert motion.poses is not None
+    evidence, variance = known or evidence_of(audit), angle_variance(motion.skeleton, motion.poses, covariance)
     if subject.keypoints is not None and any(k is not None for k in points):
-        assert motion.poses is not None
         weighed = subject.keypoints if evidence == "both" else replace(subject.keypoints, cue_weight=None)
         lasting = systematic_covariance(subject.body, weighed, points, motion.poses, motion.frame_rate)
         motion = replace(motion, systematic_covariance=lasting.astype(np.float32))
     # covariances follow from the curvature of the cost
     p, joints = judged(motion, subject.body.joints(clip.one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
-    motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
+    motion = with_angle_variance(with_fitted_joints(motion, evidence, beyond), variance, evidence, beyond)
     look = needs_review(p, joints, evidence)
     frames = look if motion.low_confidence is None else motion.low_confidence | look
     reported = replace(motion, error_probability=p, low_confidence_joints=joints, low_confidence=frames)

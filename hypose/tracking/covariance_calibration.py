@@ -201,16 +201,6 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
     return replace(motion, joint_covariance=around.astype(np.float32), systematic_covariance=lasting.astype(np.float32))
 
 
-def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
-    """Set a motion's calibrated standard deviations of angles, computed from the covariances (T, D, D) of its poses.
-
-    evidence: kind of evidence, a key of `fitted_spread_table`.
-    beyond: contradiction between the views, m, see `beyond_usual`.
-    """
-    assert motion.poses is not None
-    return with_angle_variance(motion, angle_variance(motion.skeleton, motion.poses, covariance), evidence, beyond)
-
-
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """Calibrate a motion's standard deviations of angles from their variances (T, A), rad^2, before calibration.
 

@@ -244,14 +244,6 @@ class ErrorModel:
         """
         return (within_clip(odds, names, clip) * self.in_clip[groups_of(names)]).sum(-1)
 
-    def log_odds(self, features: Array, names: tuple[str, ...]) -> Array:
-        """Compute the log-odds (T, J) that the joints of one clip are wrong, from their features (T, J, F).
-
-        names: names of the J joints.
-        """
-        odds = self.of_joints(features, names)
-        return self.within(odds, names, error_level(odds, names))
-
 
 BY_ITSELF = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """`ErrorModel.in_clip` of joints whose log-odds depend on their own features alone."""
@@ -326,8 +318,8 @@ def judged(
     names = motion.skeleton.joint_names
     evidence = known or evidence_of(audit)
     model = error_models()[evidence]
-    p = probability(model.log_odds(clip_features(motion, raw_joints, audit), names))
-    p = np.maximum(p, _by_twisted_trunk(motion))
+    odds = model.of_joints(clip_features(motion, raw_joints, audit), names)
+    p = np.maximum(probability(model.within(odds, names, error_level(odds, names))), _by_twisted_trunk(motion))
     if evidence == "keypoints":  # sets without some joints; masks show the whole body
         spread = with_fitted_joints(motion, evidence).joint_covariance
         p = np.maximum.reduce([p, _by_few_views(motion, audit), probability_by_spread(spread)])

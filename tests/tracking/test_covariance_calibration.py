@@ -12,7 +12,7 @@ from hypose.tracking.covariance_calibration import (
     apart_factors,
     beyond_usual,
     fitted_spread_table,
-    with_fitted_angles,
+    with_angle_variance,
     with_fitted_joints,
 )
 from hypose.tracking.joint_features import AUDITED
@@ -51,7 +51,8 @@ def test_variances_of_angles_are_those_of_samples(poses):
 def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
     motion = motion_of(poses)
     covariance = np.stack([1e-4 * np.eye(BODY.skeleton.dof)] * len(poses))
-    full = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
+    variance = angle_variance(BODY.skeleton, poses, covariance)
+    full = with_angle_variance(with_fitted_joints(motion, evidence), variance, evidence)
     j = BODY.skeleton.joint("left_ankle")
     a, b = fitted_spread_table()["joints"][evidence]["ankle"]
     assert full.joint_sd[0, j] == pytest.approx(np.hypot(a * 0.01, b), rel=1e-3)
@@ -59,7 +60,6 @@ def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
     back = as_curved(full, evidence)
     assert back.systematic_covariance == pytest.approx(0, abs=1e-8)
     assert back.joint_covariance == pytest.approx(motion.joint_covariance, abs=1e-8)
-    variance = angle_variance(BODY.skeleton, poses, covariance)
     assert back.angle_sd == pytest.approx(np.sqrt(variance), abs=2e-4)
 
 

@@ -10,12 +10,13 @@ Source: Sminchisescu & Triggs 2001, section 5 (points, prior intervals, joint li
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of
-from hypose.body.body import Body
+from hypose.body.body import Body, Mesh
 from hypose.cameras.camera import Camera
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import person_size
@@ -25,7 +26,7 @@ from hypose.fitting.rows import rows_of_keypoints
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import keypoint_term
 from hypose.tracking.monocular.problem import Floor, floor_rows
-from hypose.tracking.monocular.proportions import INTERNAL, Proportions, skeleton_only
+from hypose.tracking.monocular.proportions import INTERNAL, Proportions
 from hypose.tracking.refinement import anatomical_prior
 
 PointsOn = Callable[[Body], KeypointTerm]
@@ -132,7 +133,8 @@ class _PointsProblem(PoseProblem[Array]):
 
             return rows
 
-        bare = skeleton_only(template)
+        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
+        bare = replace(template, coarse=nothing, fine=nothing)  # fast to deform
         super().__init__(bare, [[cue(one)] for one in pictures], [anatomical_prior(template.skeleton), *priors])
         self.template, self.factors, self.prior = bare, factors, prior
         self.free = np.ones(len(INTERNAL), dtype=np.bool_)

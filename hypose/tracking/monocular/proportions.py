@@ -7,13 +7,13 @@ Source: Sminchisescu & Triggs 2001, section 5: x_i (internal proportions), x_d (
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.anthropometry import SHAPE_FACTORS, entity
-from hypose.body.body import Body, Mesh
+from hypose.body.body import Body
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -58,12 +58,6 @@ def proportions(template: Body, height: float | None) -> Proportions:
     centre[scale] = np.log((height or ADULT_HEIGHT_M) / template.stature)
     sd[scale] = KNOWN_SPREAD if height is not None else ADULT_SPREAD
     return Proportions(centre, sd)
-
-
-def skeleton_only(body: Body) -> Body:
-    """Copy the body with two empty meshes (no vertices), so that it is fast to deform."""
-    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
-    return replace(body, coarse=nothing, fine=nothing)
 
 
 def search_factors(
