@@ -146,7 +146,7 @@ def _spoil_array(content: bytes, rng: Rng) -> bytes:
     except Exception:  # spoilt before: any of numpy's
         what = 0
         array = np.zeros(0)
-    if what == 0:
+    if what == 0 or not array.size:  # nothing is left, perhaps of a shape that no other type can have
         return mutate(content, "binary", rng)
     if what == 1:  # a header that promises more than there is
         shape = tuple(int(x) for x in rng.choice([0, 1, 3, 10**9, 2**62], size=int(rng.integers(0, 5))))
