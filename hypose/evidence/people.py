@@ -483,9 +483,8 @@ def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
     near = chosen & (np.linalg.norm(hull.points[:, :2] - axis, axis=1) < ABOUT)
     own = np.unique(label[tuple(index[near].T)])
     kept = np.isin(label, own[own > 0])
-    low, high = np.argwhere(kept).min(0), np.argwhere(kept).max(0) + 1
-    part = kept[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
-    return Hull(part, hull.origin + low * hull.voxel, hull.voxel)
+    cut = ndimage.find_objects(kept.astype(np.uint8))[0]
+    return Hull(kept[cut], hull.origin + np.array([side.start for side in cut]) * hull.voxel, hull.voxel)
 
 
 # ---- people in depth maps, and the evidence of each ----------------------------------------------------------------
