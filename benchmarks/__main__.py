@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from click.exceptions import Exit
 
 from hypose.app.cli import make_command, run_cli
-from hypose.app.commands.console import Stages, say
+from hypose.app.commands.console import Stages, print_table, say
 from hypose.options import Option, Threads
 
 
@@ -67,28 +67,20 @@ def bench(
 
 
 def _show(report: dict[str, Any]) -> None:
-    from rich.table import Table
-
-    from hypose.app.commands.console import out
-
-    table = Table(title=f"{report.get('name', '')}: {report.get('seconds', 0):.0f} s", title_justify="left")
-    for column in ("metric", "case", "value", "sd", "n", "baseline", "ratio"):
-        table.add_column(column, justify="left" if column in ("metric", "case", "baseline") else "right")
-    for row in report.get("results", []):
-        baseline = f"{row['baseline']} {_number(row.get('baseline_value'))}" if row.get("baseline") else ""
-        table.add_row(
+    rows = [
+        (
             str(row["metric"]),
             str(row["case"]),
             f"{_number(row['value'])} {row.get('unit') or ''}".strip(),
             _number(row.get("sd")),
             _number(row.get("n")),
-            baseline,
+            f"{row['baseline']} {_number(row.get('baseline_value'))}" if row.get("baseline") else "",
             _number(row.get("ratio")),
         )
-    console = out()
-    if not console.is_terminal:
-        console.width = 160  # a pipe has no width; wrapped tables are hard to read
-    console.print(table)
+        for row in report.get("results", [])
+    ]
+    columns = ("metric", "case", "value", "sd", "n", "baseline", "ratio")
+    print_table(f"{report.get('name', '')}: {report.get('seconds', 0):.0f} s", columns, rows)
 
 
 def _number(value: Any) -> str:

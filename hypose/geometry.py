@@ -79,16 +79,12 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Array:
     t = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     k = np.empty((*m.shape[:-2], 4, 4))
     k[..., 0, 0] = t
-    k[..., 0, 1] = k[..., 1, 0] = m[..., 2, 1] - m[..., 1, 2]
-    k[..., 0, 2] = k[..., 2, 0] = m[..., 0, 2] - m[..., 2, 0]
-    k[..., 0, 3] = k[..., 3, 0] = m[..., 1, 0] - m[..., 0, 1]
-    for i in range(3):
-        for j in range(3):
-            k[..., i + 1, j + 1] = m[..., i, j] + m[..., j, i] - (t if i == j else 0)
+    across = [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]]
+    k[..., 0, 1:] = k[..., 1:, 0] = np.stack(across, -1)
+    k[..., 1:, 1:] = m + np.swapaxes(m, -1, -2) - t[..., None, None] * np.eye(3)
     # K/3's dominant eigenvector is the quaternion (Bar-Itzhack 2000); its column of largest diagonal is
     # proportional to it for exact rotations and avoids an eigen-decomposition.
-    diagonal = np.stack([k[..., i, i] for i in range(4)], -1)
-    best = diagonal.argmax(-1)
+    best = np.einsum("...ii->...i", k).argmax(-1)
     column = np.take_along_axis(k, best[..., None, None], axis=-1)[..., 0]
     column = column + np.where(np.arange(4) == best[..., None], 1.0, 0.0)
     return column / np.linalg.norm(column, axis=-1, keepdims=True)
@@ -250,7 +246,38 @@ def procrustes(
     return se3(k * r, cb - k * r @ ca), k
 
 
+def far_apart(points: Array, first: int, count: int, apart: float = 0.0) -> list[int]:
+    """Choose points that lie as far from each other as possible (farthest-point sampling).
+
+    points: (N, D) of any space.
+    first: index of the point that is chosen first.
+    count: largest number of points.
+    apart: least distance of a point from those chosen before; nearer ones are left out.
+    Returns: indices in increasing order.
+    """
+    chosen, distance = [first], np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < min(count, len(points)) and distance.max() > apart:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return sorted(chosen)
+
+
 def runs(flags: NDArray[np.bool_]) -> list[range]:
     """Find the consecutive marked frames in flags (T,), as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
     return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def interpolated(values: ArrayLike) -> Array:
+    """Fill unknown frames (NaN) of each number in values (T, ...) by linear interpolation in time.
+
+    Before the first and after the last known frame the value of that frame is taken; numbers that are never known stay
+    NaN.
+    """
+    out = np.array(values, dtype=np.float64)
+    frames, columns = np.arange(len(out)), out.reshape(len(out), -1)
+    for column in columns.T:
+        known = np.isfinite(column)
+        if known.any() and not known.all():
+            column[:] = np.interp(frames, frames[known], column[known])
+    return out

@@ -49,35 +49,17 @@ def rasterize(
 ) -> NDArray[np.bool_]:
     """Silhouette (h, w) of a triangle mesh: vertices (V, 3), projection (3, 4), size (width, height).
 
-    A pixel is set when its centre lies in the image of any triangle, cut at the near plane. Half open: a triangle
-    covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so meshes
-    that share vertices leave no gap and count no pixel twice. one_sided: only triangles whose outside is seen."""
+    A pixel is set when its centre lies in the image of any triangle that lies beyond the near plane. Half open: a
+    triangle covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so
+    meshes that share vertices leave no gap and count no pixel twice. one_sided: only triangles seen from outside."""
     homogeneous = vertices @ projection[:, :3].T + projection[:, 3]
-    near = (homogeneous[faces, 2] < NEAR).any(1)
-    safe = homogeneous[faces[~near]]
-    triangles = [safe[..., :2] / safe[..., 2:]]
-    for face in faces[near]:
-        corners = _cut_at_near(homogeneous[face])
-        uv = corners[:, :2] / corners[:, 2:] if len(corners) else corners
-        triangles += [uv[None, [0, k, k + 1]] for k in range(1, len(uv) - 1)]
-    drawn = np.concatenate(triangles)
+    safe = homogeneous[faces[(homogeneous[faces, 2] >= NEAR).all(1)]]
+    drawn = safe[..., :2] / safe[..., 2:]
     if one_sided:
         a, b, c = (drawn[:, k] for k in range(3))
         area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
         drawn = drawn[area < 0]  # clockwise on a screen with y down: seen from outside
     return _cover(drawn, size)
-
-
-def _cut_at_near(corners: Array) -> Array:
-    out = []
-    for k in range(3):
-        a, b = corners[k], corners[(k + 1) % 3]
-        if a[2] >= NEAR:
-            out.append(a)
-        if (a[2] >= NEAR) != (b[2] >= NEAR):
-            lo, hi = (a, b) if a[2] < b[2] else (b, a)
-            out.append(lo + (NEAR - lo[2]) / (hi[2] - lo[2]) * (hi - lo))
-    return np.array(out)
 
 
 def _cover(triangles: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -126,6 +108,13 @@ def nearest_faces(
     return nearest, number
 
 
+def ignored_pixels(prepared: PreparedMasks) -> NDArray[np.bool_]:
+    """(C, h, w) pixels that say nothing."""
+    if not prepared.hidden.size:
+        return np.zeros(prepared.masks.shape, np.bool_)
+    return np.unpackbits(prepared.hidden, axis=2, count=prepared.masks.shape[2], bitorder="little") > 0
+
+
 def silhouette_xor(
     poses: Array,
     tree: TreeArrays,
@@ -145,8 +134,7 @@ def silhouette_xor(
         w, h = prepared.sizes[c].tolist()
         x0, x1, y0, y1 = (0, w, 0, h) if boxes is None else np.clip(boxes[c], 0, (w, w, h, h))
         mask = prepared.masks[c, y0:y1, x0:x1] != 0
-        # pixels that say nothing are open, and not in the mask
-        reported = ((prepared.open_masks[c, y0:y1, x0:x1] != 0) == mask) if prepared.hidden.size else True
+        reported = ~ignored_pixels(prepared)[c, y0:y1, x0:x1]
         for n in range(len(poses)):
             drawn = mesh.faces if faces is None else mesh.faces[faces]
             model = rasterize(vertices[n], drawn, prepared.projections[c], (w, h), one_sided=faces is not None)

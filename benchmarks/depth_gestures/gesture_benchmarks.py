@@ -70,7 +70,6 @@ def learn_online(
     shown: Sequence[Example],
     seed: int,
     *,
-    mine: bool = True,
     settings: ForestSettings | None = None,
     passes: int = PASSES,
     **pixels: Any,
@@ -78,7 +77,7 @@ def learn_online(
     """A forest taught with examples, several passes in random order; pixels: numbers of LearnSettings."""
     learner = Learner.new(np.random.default_rng([81, seed]), settings, LearnSettings(**pixels))
     for _ in range(passes):
-        teach(learner, thinned(shown, 0.5, learner.rng), mine=mine, shuffle=True)
+        teach(learner, thinned(shown, 0.5, learner.rng), shuffle=True)
     return learner.forest.freeze()
 
 
@@ -117,10 +116,10 @@ def _learn_all_ways(data: Callable[[], Shot], name: str, seed: int) -> dict[str,
     published, pool = (collect(shown, np.random.default_rng([83, seed]), around=n) for n in (0, 10))
     forests = {
         "online_hard": learn_online(shown, seed),
-        "online_random": learn_online(shown, seed, mine=False),
+        "online_random": learn_online(shown, seed, hard=0, around=0, random=10, few=10),
         # the published ones: no ring of negatives; as many random negatives as hard ones can be
         "online_hard_published": learn_online(shown, seed, around=0),
-        "online_random_as_many": learn_online(shown, seed, mine=False, many=32),
+        "online_random_as_many": learn_online(shown, seed, hard=0, around=0, random=32, few=32),
         "offline_boosted": train_offline(published, np.random.default_rng([82, seed])),
         "offline_boosted_around": train_offline(pool, np.random.default_rng([82, seed])),
     }

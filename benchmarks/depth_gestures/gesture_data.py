@@ -104,12 +104,12 @@ def _shoot(
     return out
 
 
-def teach(learner: Learner, examples: Sequence[Example], *, mine: bool = True, shuffle: bool = False) -> None:
+def teach(learner: Learner, examples: Sequence[Example], *, shuffle: bool = False) -> None:
     """Show all examples once, in their order or in one drawn from the learner's random numbers."""
     order = learner.rng.permutation(len(examples)) if shuffle else np.arange(len(examples))
     for k in order.tolist():
         e = examples[k]
         if e.gesture:
-            learner.show(e.depth, e.lens, e.x, e.y, mine=mine)
+            learner.show(e.depth, e.lens, e.x, e.y)
         else:
-            learner.reject(e.depth, e.lens, mine=mine)
+            learner.reject(e.depth, e.lens)

@@ -14,7 +14,6 @@ from hypose.compute.arrays import PreparedMasks, prepare_masks
 from hypose.compute.parts import covered, projected
 from hypose.compute.scorer import silhouette_xor
 from hypose.evidence.frame import Frame
-from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 
 
@@ -27,7 +26,7 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
     subject = known_subject(scene)
     body = subject.body
     assert frame.silhouettes is not None
-    masks = prepared_masks(frame.silhouettes)
+    masks = frame.silhouettes.prepared
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     n = 96 if options.quick else 500
     poses = around(body, subject.start, 2 * body.skeleton.sigma, n)
@@ -53,7 +52,7 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
 def opencv_unit(frame: Frame, body: Body, pose: Array) -> float:
     """Seconds that OpenCV needs for one silhouette: what the speed of other things is divided by on a noisy machine."""
     assert frame.silhouettes is not None
-    masks = prepared_masks(frame.silhouettes)
+    masks = frame.silhouettes.prepared
     return best(_opencv_call(body, around(body, pose, body.skeleton.sigma, 4), masks), 5) / (4 * len(masks.masks))
 
 

@@ -49,9 +49,9 @@ def long_session(folder: Path) -> None:
         frame = frames.send(k // 15 % 2 == 0) if k else next(frames)
         shown.append(frame.depth)
         if frame.point is not None:
-            learner.show(frame.depth, KINECT, *frame.point, mine=False)
+            learner.show(frame.depth, KINECT, *frame.point)
         else:
-            learner.reject(frame.depth, KINECT, mine=False)
+            learner.reject(frame.depth, KINECT)
     folder.mkdir()
     save_model(GestureModel("tee", learner, 4.0), folder / "tee.npz")
     writer = SessionWriter(folder / "tee", ["tee"], KINECT, (640, 480))

@@ -12,8 +12,6 @@ from hypose.evidence.depth_background import (
     DepthBackground,
     behind_things,
     learn_background,
-    people_before,
-    people_on_floor,
     person_before,
     person_on_floor,
     unlike_people,
@@ -58,7 +56,7 @@ def seen_before(
     """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings; people: with everybody
     in it."""
     known = zip(maps, rooms, rig, strict=True)
-    masks = [people_before(m, room) if people else person_before(m, room, c.K[0, 0]) for m, room, c in known]
+    masks = [person_before(m, room, c.K[0, 0], people) for m, room, c in known]
     silhouettes = make_silhouettes(masks, rig)
     depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
     return Frame(at, index, silhouettes if people else behind_things(silhouettes, depth, rooms), depth=depth)
@@ -69,7 +67,6 @@ def seen_on_floor(
 ) -> Frame:
     """The same where the empty room was not recorded; things (h, w) m: what stands still and is nobody
     (`unlike_people`)."""
-    find = people_on_floor if people else person_on_floor
-    masks = [find(m, c, t) for m, c, t in zip(maps, rig, things, strict=True)]
+    masks = [person_on_floor(m, c, t, people) for m, c, t in zip(maps, rig, things, strict=True)]
     silhouettes = make_silhouettes(masks, rig)
     return Frame(at, index, silhouettes, depth=Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy()))

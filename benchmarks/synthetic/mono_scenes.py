@@ -42,7 +42,6 @@ FRAME_RATE = 25.0
 CLOTHING_M = 0.03
 FOLDS_PERIOD_S = 1.7
 NOISE_SD = 5.0
-GLOSS = 70.0
 START_ERROR_RAD = 0.02
 """Error of the first pose of a limb, 1 sd; less where a dof usually moves less."""
 
@@ -204,7 +203,7 @@ def _scene(
     rng = np.random.default_rng([seed, _COLORS])
     plain = make_outfit(subject, rng)
     color = plain.color * woven(subject.vertices, rng)[:, None]
-    outfit = replace(plain, color=color.astype(np.float32), gloss=GLOSS)
+    outfit = replace(plain, color=color.astype(np.float32))
     start = pose_of_truth(body, performance.rotations[0], performance.joints[0])
     error = np.random.default_rng([seed, _START]).normal(0, START_ERROR_RAD, len(active))
     start[active] += error * np.minimum(1.0, body.skeleton.sigma[active] / np.radians(5.0))

@@ -1,6 +1,6 @@
 """Track many recordings, each with options of its own, by Dask's workers, and write one table of results.
 
-Order of use: `read_table` or `wanted`, `ordered_tasks`, `run_batch`, `write_table`.
+Order of use: `read_table` or `wanted`, `ordered_tasks`, `run_batch`; the command writes the rows.
 
 The key of a task is the hash of everything that decides its motion: options, versions, and the content of its inputs.
 Its results are in a folder with that key in its name. The figures are in task.json there, which is written last: a task
@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import hashlib
-import io
 import os
 import signal
 import tempfile
@@ -30,7 +29,7 @@ from hypose.app.jobs.job import TrackJob, compile_before, job_of, record_of, run
 from hypose.app.options import TrackCommand, recorded_options
 from hypose.app.reports.report_parts import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
-from hypose.io.files import check_writable, file_name, read_json, text_lines, write_text
+from hypose.io.files import check_writable, file_name, read_json, text_lines
 from hypose.io.motions.results import provenance_identity, to_json, write_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.options import THREAD_VARIABLES, declared
@@ -104,7 +103,9 @@ def read_table(path: Path, **more: Any) -> list[Task]:  # noqa: ANN401 (of diffe
     Returns: tasks; `ordered_tasks` plans them.
     Raises: InputError names the line and the allowed values.
     """
-    reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
+    # a single carriage return in a line would end the row
+    lines = [line.replace("\r", " ") for line in text_lines(path, "a table of recordings")]
+    reader = csv.DictReader(lines, restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
         wrong = f"there is no column {min(unknown)!r}" if unknown else "the column 'recording' is missing"
@@ -196,25 +197,6 @@ def finished_metrics(task: Task) -> dict[str, Any] | None:
         return None
     same = isinstance(found, dict) and {"key": task.key, **task.written}.items() <= found.items()
     return found if same and (task.results / "motion.npz").is_file() else None
-
-
-def write_table(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Write results.csv completely or not at all.
-
-    rows: values by column (COLUMNS); others are left out, and missing ones are empty.
-    folder: folder of the file.
-    """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows({name: _cell(row.get(name)) for name in COLUMNS} for row in rows)
-    write_text(folder / "results.csv", text.getvalue())
-
-
-def _cell(value: Any) -> str:
-    text = "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
-    # a spreadsheet would run a text that begins so
-    return f"'{text}" if isinstance(value, str) and text[:1] in ("=", "+", "@", "\t") else text
 
 
 # ---- in a worker ---------------------------------------------------------------------------------------------

@@ -70,14 +70,13 @@ CLI_COMMANDS: CommandTable = {
     },
     "Results": {
         "report": ("commands_results:report", "Write the report of a result again."),
-        "correct": ("commands_recordings:correct", "Track a result again from a frame corrected in the studio."),
+        "correct": ("jobs.correct:correct", "Track a result again from a frame corrected in the studio."),
         "explain": ("commands_results:explain", "Which pass moved a joint of a frame, and why."),
         "gait": ("commands_results:gait", "Foot strikes, steps, cadence and speed of a tracked motion."),
         "compare": (
             "jobs.compare_job:compare",
             "How far a result agrees with markers or another motion.",
         ),
-        "play": ("commands_results:play", "Send a tracked motion to an avatar, as it was (VMC)."),
         "cite": ("commands_results:cite", "Print the papers behind the method that gave a result."),
     },
     "Live and depth sensors": {

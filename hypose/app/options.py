@@ -281,8 +281,8 @@ class SyncCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class FuseCommand:
-    """Fuse the skeletons of several depth sensors, and what cameras saw besides: one skeleton per person with its
-    uncertainty. See docs/fusion.md, docs/live.md.
+    """Fuse the skeletons of several depth sensors: one skeleton per person with its uncertainty. See docs/fusion.md and
+    docs/live.md.
 
     It ends with an assessment: good, worth a look, or not to be trusted, and why; the last with exit code 3.
     """
@@ -310,10 +310,6 @@ class FuseCommand:
             group=_RECORDED,
         ),
     ] = "person"
-    cameras: Annotated[
-        Path | None,
-        Option("Recording of depth or colour cameras that saw the same; all is then solved together.", group=_RECORDED),
-    ] = None
     seed: Seed = 0
     rate: Annotated[
         float | None, Option("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)

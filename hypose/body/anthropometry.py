@@ -92,7 +92,22 @@ TABLE_2_1: dict[str, tuple[float, float]] = {
 }
 """Mean (cm) and variance (cm^2) of each size. Source: Alcoverro 2014, Table 2.1."""
 
-_TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
+# Joint without its side: factor of its bone's length, and factors of the skin's distance from the bone: of width and
+# depth where there are two, else the same in all directions (so that a hand, a foot keep their proportions).
+_SHAPED: dict[str, tuple[str, ...]] = {
+    "pelvis": ("torso length", "pelvis width", "pelvis depth"),
+    "spine": ("torso length", "waist width", "waist depth"),
+    "chest": ("torso length", "chest width", "chest depth"),
+    "neck": ("neck length", "neck girth", "neck girth"),
+    "head": ("head", "head", "head"),
+    "clavicle": ("", "shoulder width", "chest depth"),
+    "shoulder": ("upper arm length", "upper arm girth"),
+    "elbow": ("forearm length", "forearm girth"),
+    "wrist": ("hands", "hands"),
+    "hip": ("thigh length", "thigh girth"),
+    "knee": ("shank length", "shank girth"),
+    "ankle": ("feet", "feet"),
+}
 
 
 def shape_of(log_factors: ArrayLike) -> Shape:
@@ -101,28 +116,19 @@ def shape_of(log_factors: ArrayLike) -> Shape:
     if x.shape != (len(SHAPE_FACTORS),):
         raise InputError(f"A shape has {len(SHAPE_FACTORS)} log factors, got shape {x.shape}.")
     f = dict(zip(SHAPE_FACTOR_NAMES, np.exp(x).tolist(), strict=True))
-    torso, shoulders, head, neck = f["torso length"], f["shoulder width"], f["head"], f["neck girth"]
-    length: dict[str, float] = dict.fromkeys(("pelvis", "spine", "chest"), torso)
-    length |= {"neck": f["neck length"], "head": head}
-    girth: dict[str, float | tuple[float, float, float]] = {
-        joint: (f[f"{part} width"], f[f"{part} depth"], 1.0) for part, joint in _TRUNK
-    }
-    girth |= {"neck": (neck, neck, 1.0), "head": (head, head, 1.0)}
-    offset: dict[str, tuple[float, float, float]] = {}
-    for joint in ("spine", "chest", "neck"):
-        offset[joint] = (1.0, 1 / torso, 1.0)  # the torso grows upwards only
+    length, girth = dict[str, float](), dict[str, float | tuple[float, float, float]]()
+    for joint in JOINT_NAMES:
+        along, *across = _SHAPED[joint.split("_")[-1]]
+        length[joint] = f.get(along, 1.0)
+        girth[joint] = f[across[0]] if len(across) == 1 else (f[across[0]], f[across[1]], 1.0)
+    torso, shoulders = f["torso length"], f["shoulder width"]
+    upwards = 1.0, 1 / torso, 1.0  # the torso grows upwards only
+    offset: dict[str, tuple[float, float, float]] = dict.fromkeys(("spine", "chest", "neck"), upwards)
     for side in _SIDES:
-        for joint, part in (("shoulder", "upper arm"), ("elbow", "forearm"), ("hip", "thigh"), ("knee", "shank")):
-            length[f"{side}_{joint}"] = f[f"{part} length"]
-            girth[f"{side}_{joint}"] = f[f"{part} girth"]
-        # along the arm and across it alike: a hand, a foot keep their proportions
-        length[f"{side}_wrist"] = girth[f"{side}_wrist"] = f["hands"]  # type: ignore[assignment]
-        length[f"{side}_ankle"] = girth[f"{side}_ankle"] = f["feet"]  # type: ignore[assignment]
         # hips are children of the pelvis, clavicles of the chest: undo the trunk's stretch across the body
         offset[f"{side}_hip"] = (f["hip width"] / torso, 1 / torso, 1.0)
         offset[f"{side}_clavicle"] = (shoulders / torso, 1 / torso, 1.0)
         offset[f"{side}_shoulder"] = (shoulders, 1.0, 1.0)
-        girth[f"{side}_clavicle"] = (shoulders, f["chest depth"], 1.0)
     return Shape(f["scale"], length, girth, offset)
 
 
@@ -371,9 +377,8 @@ def segment_masses(body: Body, segments: Mapping[str, Sequence[str]]) -> dict[st
             own = body.skeleton.rest_joints[[body.skeleton.joint(joints[0])]]
         centre = own.mean(0)
         d = own - centre
-        squares = (d * d).sum()
         # a cube's own inertia is 1/6 of its mass times its edge squared, about any axis
-        inertia = each * (squares * np.eye(3) - d.T @ d + len(own) * _CUBE**2 / 6 * np.eye(3))
+        inertia = each * ((d * d).sum() * np.eye(3) - d.T @ d + len(own) * _CUBE**2 / 6 * np.eye(3))
         out[name] = SegmentMass(each * len(own), centre, inertia)
     return out
 

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.body.skeleton import Skeleton
+from hypose.body.skeleton import Skeleton, check_shapes
 from hypose.compute import kinematics
 from hypose.compute.arrays import MeshArrays
 from hypose.compute.kinematics import forward_kinematics
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.geometry import Array
 
 
@@ -38,12 +38,13 @@ class Mesh:
 
     def __post_init__(self) -> None:
         v = len(self.vertices)
-        if self.skin_index.shape != (v, 4) or self.skin_weight.shape != (v, 4):
-            raise InputError(f"A mesh of {v} vertices needs skin_index and skin_weight of shape {(v, 4)}.")
-        if len(self.faces) and (self.faces.min() < 0 or self.faces.max() >= v):
-            raise InputError(f"The mesh has {v} vertices but a face refers to vertex {self.faces.max()}.")
-        if not np.isfinite(self.vertices).all():
-            raise InputError("The mesh has vertices that are not finite.")
+        check_shapes(self, {"skin_index": (v, 4), "skin_weight": (v, 4)})
+        low, high = self.faces.min(initial=0), self.faces.max(initial=-1)
+        faults = {
+            f"{v} vertices but a face refers to vertex {high}": low < 0 or high >= v,
+            "vertices that are not finite": not np.isfinite(self.vertices).all(),
+        }
+        refuse("The mesh has ", faults)
 
     @cached_property
     def edges(self) -> NDArray[np.int32]:
@@ -60,8 +61,7 @@ class Mesh:
         open_edges = sum((b, a) not in owner for a, b in owner)
         if open_edges:
             raise InputError(f"The mesh is not closed: {open_edges} edges have one face only.")
-        rows = [(a, b, f, owner[b, a]) for (a, b), f in owner.items() if a < b]
-        return np.array(rows, dtype=np.int32)
+        return np.array([(a, b, f, owner[b, a]) for (a, b), f in owner.items() if a < b], dtype=np.int32)
 
     @cached_property
     def arrays(self) -> MeshArrays:
@@ -213,8 +213,9 @@ class Body:
         """
         q = np.asarray(poses, dtype=np.float64)
         m = mesh or self.coarse
-        flat = np.ascontiguousarray(q.reshape(-1, self.skeleton.dof))
-        rotations, centres = forward_kinematics(flat, self.skeleton.tree)
+        rotations, centres = forward_kinematics(
+            np.ascontiguousarray(q.reshape(-1, self.skeleton.dof)), self.skeleton.tree
+        )
         v = kinematics.skin(rotations, centres, self.skeleton.tree, m.arrays)
         return v.reshape(*q.shape[:-1], *v.shape[1:])
 
@@ -272,29 +273,20 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     s = body.skeleton
     names, parents = s.joint_names, s.parents
     known = set(names)
-    for part in (shape.length, shape.girth, shape.offset):
-        unknown = set(part) - known
-        if unknown:
-            raise InputError(f"The shape names unknown joints {sorted(unknown)}; the joints are {', '.join(names)}.")
-    old = s.rest_joints
+    unknown = {*shape.length, *shape.girth, *shape.offset} - known
+    if unknown:
+        raise InputError(f"The shape names unknown joints {sorted(unknown)}; the joints are {', '.join(names)}.")
+    old, stretch = s.rest_joints, np.array([shape.length.get(name, 1.0) for name in names])
     offsets = s.rest_offsets * shape.scale
-    for j, p in enumerate(parents):
-        if p >= 0:
-            offsets[j] = (
-                offsets[j] * shape.length.get(names[p], 1.0) * np.asarray(shape.offset.get(names[j], (1, 1, 1)))
-            )
+    offsets[1:] *= stretch[parents[1:], None]
+    offsets *= np.array([shape.offset.get(name, (1.0, 1.0, 1.0)) for name in names])
     # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
     skeleton = replace(s, rest_offsets=offsets)
     new = skeleton.rest_joints
-    if "tree" in s.__dict__:  # the tree is the same except for the joints' positions
-        skeleton.__dict__["tree"] = s.tree._replace(joints=np.ascontiguousarray(new - new[0]))
 
     # the skin about a joint stretches along an axis and widens across it
-    girths, stretch, axes = np.ones((len(names), 3)), np.ones(len(names)), np.tile([0.0, 0.0, 1.0], (len(names), 1))
-    for joint, girth in shape.girth.items():
-        girths[names.index(joint)] = girth
-    for joint, length in shape.length.items():
-        stretch[names.index(joint)] = length
+    girths = np.array([np.broadcast_to(shape.girth.get(name, 1.0), 3) for name in names])
+    axes = np.tile([0.0, 0.0, 1.0], (len(names), 1))
     for joint, end in BONE_END.items():
         if joint in known:
             axes[names.index(joint)] = old[names.index(end)] - old[names.index(joint)]

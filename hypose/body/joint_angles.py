@@ -42,31 +42,34 @@ BODY_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 # opensim_from_world: ground X = y, Y = z, Z = x, as in the TRC files
 GROUND_AXES = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
-_SIDES = (("r", "right", 1.0), ("l", "left", -1.0))
-_BALLS = (
-    *(("pelvis", "chest"), ("chest", "head")),
+_SIDES = (("r", "right"), ("l", "left"))
+# parent, child, names of the rotations about z, x, y (those of x and y are mirrored on the left side)
+_BALLS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("pelvis", "chest", ("lumbar_extension", "lumbar_bending", "lumbar_rotation")),
+    ("chest", "head", ("neck_extension", "neck_bending", "neck_rotation")),
     *(
-        (parent, child)
-        for _, side, _ in _SIDES
-        for parent, child in (
-            ("pelvis", f"{side}_hip"),
-            (f"{side}_knee", f"{side}_ankle"),
-            ("chest", f"{side}_shoulder"),
+        row
+        for s, side in _SIDES
+        for row in (
+            ("pelvis", f"{side}_hip", (f"hip_flexion_{s}", f"hip_adduction_{s}", f"hip_rotation_{s}")),
+            (f"{side}_knee", f"{side}_ankle", (f"ankle_angle_{s}", f"subtalar_angle_{s}")),
+            ("chest", f"{side}_shoulder", (f"arm_flex_{s}", f"arm_add_{s}", f"arm_rot_{s}")),
         )
     ),
 )
 _HINGES = tuple(
-    (f"{side}_{parent}", f"{side}_{child}")
-    for _, side, _ in _SIDES
-    for parent, child in (("hip", "knee"), ("shoulder", "elbow"))
+    (f"{side}_{parent}", f"{side}_{child}", f"{name}_{s}")
+    for s, side in _SIDES
+    for parent, child, name in (("hip", "knee", "knee_angle"), ("shoulder", "elbow", "elbow_flex"))
 )
-TURNS = 3 + 3 * len(_BALLS) + len(_HINGES) + 3
+_FIRST_HINGE = 3 + 3 * len(_BALLS)
+TURNS = _FIRST_HINGE + len(_HINGES) + 3
 """Number of values that are read off one frame."""
 ANGLE_NAMES: tuple[str, ...] = (
     *("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz"),
     *(
         f"{a}_{s}"
-        for s, _, _ in _SIDES
+        for s, _ in _SIDES
         for a in (
             "hip_flexion",
             "hip_adduction",
@@ -84,8 +87,17 @@ ANGLE_NAMES: tuple[str, ...] = (
         "neck_bending",
         "neck_rotation",
     ),
-    *(f"{a}_{s}" for s, _, _ in _SIDES for a in ("arm_flex", "arm_add", "arm_rot", "elbow_flex")),
+    *(f"{a}_{s}" for s, _ in _SIDES for a in ("arm_flex", "arm_add", "arm_rot", "elbow_flex")),
 )
+# row of the values read off a frame, by name
+_ROWS = {
+    **{name: k for k, name in enumerate(ANGLE_NAMES[:3])},
+    **{name: 3 * n + k for n, (_, _, names) in enumerate(_BALLS, 1) for k, name in enumerate(names)},
+    **{name: n for n, (_, _, name) in enumerate(_HINGES, _FIRST_HINGE)},
+    **{name: TURNS - 3 + k for k, name in enumerate(ANGLE_NAMES[3:6])},
+}
+_ORDER = np.array([_ROWS[name] for name in ANGLE_NAMES])
+_MIRRORED = np.array([name.endswith("_l") for name in ANGLE_NAMES]) & (_ORDER % 3 > 0) & (_ORDER < _FIRST_HINGE)
 
 
 def is_length(name: str) -> bool:
@@ -131,19 +143,19 @@ def turns_reader(skeleton: Skeleton) -> Callable[[Array, Array], Array]:
         pelvis in the world and of all balls, angles of the hinges, and the pelvis position.
     """
     neutral = neutral_frames(skeleton)
-    joint = {name: skeleton.joint(name) for pair in (*_BALLS, *_HINGES) for name in pair}
-    hinges = [(*pair, hinge_axis(skeleton, pair[1]), straight_offset(skeleton, pair[1])) for pair in _HINGES]
+    joint = {name: skeleton.joint(name) for *pair, _ in (*_BALLS, *_HINGES) for name in pair}
+    hinges = [(a, b, hinge_axis(skeleton, b), straight_offset(skeleton, b)) for a, b, _ in _HINGES]
 
     def read(world_from_joint: Array, centres: Array) -> Array:
         # frames are the last axis: numpy would otherwise multiply the many small matrices one by one
         parts = {n: np.ascontiguousarray(np.moveaxis(world_from_joint[:, j], 0, -1)) for n, j in joint.items()}
         out = np.empty((TURNS, len(world_from_joint)))
         out[:3] = _zxy(_product(GROUND_AXES, _product(parts["pelvis"], (BODY_AXES @ neutral["pelvis"]).T)))
-        for n, (parent, child) in enumerate(_BALLS, 1):
+        for n, (parent, child, _) in enumerate(_BALLS, 1):
             r = _product(parts[parent].swapaxes(0, 1), parts[child])
             r = _product(BODY_AXES @ neutral[parent], _product(r, (BODY_AXES @ neutral[child]).T))
             out[3 * n : 3 * n + 3] = _zxy(r)
-        for n, (parent, child, axis, straight) in enumerate(hinges, 3 + 3 * len(_BALLS)):
+        for n, (parent, child, axis, straight) in enumerate(hinges, _FIRST_HINGE):
             out[n] = _turn_about(_product(parts[parent].swapaxes(0, 1), parts[child]), axis) + straight
         out[-3:] = (centres[:, joint["pelvis"]] @ GROUND_AXES.T).T
         return out
@@ -157,23 +169,10 @@ def angles_in_time(turns: Array) -> Array:
     turns: (TURNS, T), read by `turns_reader` from consecutive frames.
     Returns: (A, T) values as in `joint_angles`.
     """
-    out: dict[str, Array] = {}
-    out["pelvis_tilt"], out["pelvis_list"], out["pelvis_rotation"] = _continuous(turns[:3], prior_axis=1)
-    out["pelvis_tx"], out["pelvis_ty"], out["pelvis_tz"] = turns[-3:]
-    angle = {child: _continuous(turns[3 * n : 3 * n + 3]) for n, (_, child) in enumerate(_BALLS, 1)}
-    hinge = {child: turns[n] for n, (_, child) in enumerate(_HINGES, 3 + 3 * len(_BALLS))}
-    for joint, name in (("chest", "lumbar"), ("head", "neck")):
-        out[f"{name}_extension"], out[f"{name}_bending"], out[f"{name}_rotation"] = angle[joint]
-    for s, side, sign in _SIDES:
-        for joint, names in (
-            ("hip", ("hip_flexion", "hip_adduction", "hip_rotation")),
-            ("ankle", ("ankle_angle", "subtalar_angle")),
-            ("shoulder", ("arm_flex", "arm_add", "arm_rot")),
-        ):
-            z, *mirrored = angle[f"{side}_{joint}"]
-            out |= {f"{n}_{s}": a for n, a in zip(names, (z, *(sign * a for a in mirrored)), strict=False)}
-        out[f"knee_angle_{s}"], out[f"elbow_flex_{s}"] = hinge[f"{side}_knee"], hinge[f"{side}_elbow"]
-    return np.stack([out[name] for name in ANGLE_NAMES])
+    out = turns.copy()
+    for k in range(0, _FIRST_HINGE, 3):
+        out[k : k + 3] = _continuous(turns[k : k + 3], prior_axis=2 if k else 1)
+    return np.where(_MIRRORED[:, None], -1.0, 1.0) * out[_ORDER]
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -198,7 +197,7 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
     """
     frames = {name: np.eye(3) for name in skeleton.joint_names}
     down, side = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
-    for _, left_right, _ in _SIDES:
+    for _, left_right in _SIDES:
         for upper, lower, axis in (("hip", "knee", side), ("shoulder", "elbow", -side)):
             u, lo = f"{left_right}_{upper}", f"{left_right}_{lower}"
             bone, hinge = skeleton.rest_offsets[skeleton.joint(lo)], hinge_axis(skeleton, lo)
@@ -261,7 +260,7 @@ def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:
     angles always reproduce the rotation.
     """
     r = np.moveaxis(np.asarray(rotations, dtype=np.float64), (-2, -1), (0, 1))
-    return np.stack(_continuous(_zxy(r), prior_axis), -1)
+    return np.moveaxis(_continuous(_zxy(r), prior_axis), 0, -1)
 
 
 def _zxy(r: Array) -> tuple[Array, Array, Array]:
@@ -272,33 +271,28 @@ def _zxy(r: Array) -> tuple[Array, Array, Array]:
         and z is the angle for y = 0.
     """
     cosine = np.hypot(r[2, 0], r[2, 2])
-    x, y = np.arctan2(r[2, 1], cosine), np.arctan2(-r[2, 0], r[2, 2])
     locked = cosine <= 1e-9
-    if locked.any():
-        y = np.where(locked, 0.0, y)
+    x, y = np.arctan2(r[2, 1], cosine), np.where(locked, 0.0, np.arctan2(-r[2, 0], r[2, 2]))
     # z from R Ry(-y): stays exact where x is +-90 deg
     cy, sy = np.cos(y), np.sin(y)
     z = np.arctan2(r[1, 0] * cy + r[1, 2] * sy, r[0, 0] * cy + r[0, 2] * sy)
-    return z, x, np.where(locked, np.nan, y) if locked.any() else y
+    return z, x, np.where(locked, np.nan, y)
 
 
-def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Array, Array, Array]:
+def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> Array:
     """Make three angles continuous in time.
 
     zxy: (3, T, ...) rotations about z, x and y, rad; y is NaN in gimbal lock, where it is held at its last value.
     prior_axis: which of z, x, y (0, 1, 2) decides between the two equivalent triples of angles; it stays near 0.
-    Returns: z, x, y (T, ...) without jumps of whole turns.
+    Returns: (3, T, ...) the same without jumps of whole turns.
     """
     z, x, y = zxy
     locked = np.isnan(y)
-    if locked.any():
-        y = _hold(y, ~locked)
-        z = z - np.where(locked, np.sign(x) * y, 0.0)
+    y = _hold(y, ~locked)
+    z = z - np.where(locked, np.sign(x) * y, 0.0)
     other = _second_branch(z, x, y, prior_axis)
-    if other.any():
-        turned = (_wrap(z + np.pi), _wrap(np.pi - x), _wrap(y + np.pi))
-        z, x, y = (np.where(other, a, b) for a, b in zip(turned, (z, x, y), strict=True))
-    return _unwrapped(z), _unwrapped(x), _unwrapped(y)
+    turned = zip((z + np.pi, np.pi - x, y + np.pi), (z, x, y), strict=True)
+    return np.stack([_unwrapped(np.where(other, _wrap(a), b)) for a, b in turned])
 
 
 def _unwrapped(angle: Array) -> Array:

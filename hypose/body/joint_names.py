@@ -131,8 +131,7 @@ def match_rig(
     owner = [next((ours[a] for a in _chain(k, p) if a in ours), 0) for k in range(len(p))]
     dense = np.asarray(weights, dtype=np.float64)
     out = np.zeros((len(dense), len(JOINT_NAMES)))
-    for k in range(len(names)):
-        out[:, owner[k]] += dense[:, k]
+    np.add.at(out.T, owner, dense.T)
     total = out.sum(1, keepdims=True)
     if not (total > 1e-6).all():
         raise InputError(

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.joint_angles import ANGLE_NAMES
-from hypose.body.skeleton import Skeleton
-from hypose.errors import InputError
+from hypose.body.skeleton import Skeleton, check_shapes
 from hypose.geometry import Array
 
 TAILS = 7.0
@@ -107,12 +106,7 @@ class Motion:
         if self.rivals is not None or self.rival_weights is not None:
             count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
             expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}
-        for name, shape in expected.items():
-            if np.shape(getattr(self, name)) != shape:
-                raise InputError(
-                    f"Motion.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed; "
-                    "give every array one row per frame."
-                )
+        check_shapes(self, expected)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -168,9 +162,7 @@ class Modes:
             "depth_sd": (t, j),
             "alive": (t,),
         }
-        for name, shape in wanted.items():
-            if getattr(self, name).shape != shape:
-                raise InputError(f"Modes.{name} has shape {getattr(self, name).shape}, {shape} is needed.")
+        check_shapes(self, wanted)
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -8,6 +8,7 @@ Source: Alcoverro 2014, eq. 2.11 (product of exponentials); see `Skeleton.forwar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,11 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
 from hypose.compute.kinematics import forward_kinematics, joint_frames
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.geometry import Array, nearest_branch
 
 GRID = 2.0**20
 """Steps per metre and radian to which `Skeleton.clamp` rounds poses (a micrometre, a fifth of an arc second)."""
+
+
+def check_shapes(owner: object, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise InputError where an array of an object, by the name of its field, has another shape than the given one."""
+    for name, shape in shapes.items():
+        if (given := np.shape(getattr(owner, name))) != shape:
+            raise InputError(f"{type(owner).__name__}.{name} has shape {given}, {shape} is needed.")
 
 
 @dataclass(frozen=True)
@@ -52,23 +60,16 @@ class Skeleton:
 
     def __post_init__(self) -> None:
         j, d = len(self.joint_names), len(self.dof_names)
-        for name, shape in (
-            ("parents", (j,)),
-            ("rest_offsets", (j, 3)),
-            ("ball", (j,)),
-            ("axes", (d, 3)),
-            ("joint_of_dof", (d,)),
-            ("lower", (d,)),
-            ("upper", (d,)),
-            ("sigma", (d,)),
-        ):
-            if np.shape(getattr(self, name)) != shape:
-                raise InputError(f"Skeleton.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed.")
-        if self.parents[0] != -1 or (self.parents[1:] >= np.arange(1, j)).any() or (self.parents[1:] < 0).any():
-            raise InputError("Skeleton.parents must hold -1 for the root and a smaller index for every other joint.")
-        if (self.lower > self.upper).any():
-            bad = self.dof_names[int(np.argmax(self.lower > self.upper))]
-            raise InputError(f"Skeleton limits of {bad}: the lower one exceeds the upper one.")
+        of_dofs = {"axes": (d, 3), "joint_of_dof": (d,), "lower": (d,), "upper": (d,), "sigma": (d,)}
+        check_shapes(self, {"parents": (j,), "rest_offsets": (j, 3), "ball": (j,), **of_dofs})
+        root, others, crossed = self.parents[0], self.parents[1:], self.lower > self.upper
+        faults = {
+            ".parents must hold -1 for the root and a smaller index for every other joint": (
+                root != -1 or (others >= np.arange(1, j)).any() or (others < 0).any()
+            ),
+            f" limits of {self.dof_names[int(np.argmax(crossed))]}: the lower one exceeds the upper one": crossed.any(),
+        }
+        refuse("Skeleton", faults)
 
     @property
     def dof(self) -> int:
@@ -89,12 +90,15 @@ class Skeleton:
 
     def descendants(self, name: str) -> NDArray[np.int64]:
         """Return the indices, ascending, of the named joint and of all joints below it in the tree."""
-        keep = np.zeros(len(self.parents), dtype=bool)
-        keep[self.joint(name)] = True
-        for j, p in enumerate(self.parents):
-            if p >= 0 and keep[p]:
-                keep[j] = True
-        return np.flatnonzero(keep)
+        return np.flatnonzero(self.above[self.joint(name)])
+
+    @cached_property
+    def above(self) -> NDArray[np.bool_]:
+        """(J, J) whether the joint of the row is that of the column or above it in the tree."""
+        out = np.eye(len(self.parents), dtype=bool)
+        for j, p in enumerate(self.parents[1:], 1):
+            out[:, j] |= out[:, p]
+        return out
 
     @cached_property
     def rest_joints(self) -> Array:
@@ -107,16 +111,11 @@ class Skeleton:
     @cached_property
     def tree(self) -> TreeArrays:
         """Joint tree as flat arrays for compiled code."""
-        j = len(self.joint_names)
-        kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
-        for n in range(j):
-            dofs = np.flatnonzero(self.joint_of_dof == n)
-            dofs = dofs[dofs >= 3]  # the root's translations are handled separately
-            if len(dofs):
-                start[n], count[n] = dofs[0], len(dofs)
-                kind[n] = BALL if self.ball[n] else HINGES
-            else:
-                kind[n] = FIXED
+        # the root's translations are handled separately
+        own = self.joint_of_dof[3:] == np.arange(len(self.joint_names))[:, None]
+        count = own.sum(1).astype(np.int64)
+        start = np.where(count > 0, 3 + own.argmax(1), 0).astype(np.int64)
+        kind = np.where(count > 0, np.where(self.ball, BALL, HINGES), FIXED).astype(np.int64)
         return TreeArrays(
             self.parents.astype(np.int64),
             kind,
@@ -160,8 +159,7 @@ class Skeleton:
         offset: (P, 3) position in that joint's frame, m.
         """
         rotations, centres = self.forward(poses)
-        turned = np.einsum("...kab,kb->...ka", rotations[..., joint, :, :], offset)
-        return centres[..., joint, :] + turned
+        return centres[..., joint, :] + np.einsum("...kab,kb->...ka", rotations[..., joint, :, :], offset)
 
     def world_twists(self, poses: ArrayLike) -> Array:
         """Compute the twist of each dof in the world: the derivative of the body's motion by the dof.
@@ -181,13 +179,7 @@ class Skeleton:
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
         """(D, J) whether a dof moves the frame of a joint."""
-        out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
-        for j in range(len(self.joint_names)):
-            a = j
-            while a >= 0:
-                out[self.joint_of_dof == a, j] = True
-                a = self.parents[a]
-        return out
+        return self.above[self.joint_of_dof]
 
     def jacobian(self, pose: ArrayLike, joint: int, points_world: ArrayLike) -> Array:
         """Compute the derivatives (N, 3, D) of points on the body by the pose.

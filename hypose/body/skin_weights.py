@@ -92,8 +92,7 @@ def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
         joints, points = body.joints(pose), body.landmark_points(pose)
 
     def middle(names: tuple[str, ...]) -> Array:
-        at = [joints[s.joint(n)] if n in s.joint_names else points[marks.index(n)] for n in names]
-        return np.mean(at, axis=0)
+        return np.mean([joints[s.joint(n)] if n in s.joint_names else points[marks.index(n)] for n in names], axis=0)
 
     joint, start, end = zip(*_HUMAN, strict=True)
     first, last = (np.array([middle(names) for names in side]) for side in (start, end))
@@ -202,8 +201,7 @@ def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     n = len(near)
     _, part = connected_components(coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)))
-    warm = np.bincount(part, near.any(1)) > 0
-    cold = ~warm[part]
+    cold = ~(np.bincount(part, near.any(1)) > 0)[part]
     if not cold.any():
         return near
     out = near.copy()

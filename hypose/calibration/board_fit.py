@@ -14,10 +14,9 @@ import numpy as np
 
 from hypose.calibration.boards import Board, BoardDetection, IntArray
 from hypose.calibration.bundle import NOISE_PX, Observations, bundle_adjust, trial_lenses
-from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, se3, transform
+from hypose.geometry import Array, far_apart, se3, transform
 
 MAX_VIEWS = 40
 _MIN_VIEWS = 4
@@ -69,8 +68,9 @@ def calibrate_lens(
     # fisheye lenses see 60 to 220 degrees by the equidistant model r = f angle, which is near enough for a start
     lenses = trial_lenses(name, size, np.geomspace(0.26, 0.95, 12) if fisheye else np.geomspace(0.3, 8, 24), fisheye)
     few = list(seen.values())[:: max(1, len(seen) // 12)]
-    misfits = [np.median([board_poses(lens, s, board.points)[0][1] for s in few]) for lens in lenses]
-    start = lenses[int(np.argmin(misfits))]
+    start = lenses[
+        int(np.argmin([np.median([board_poses(lens, s, board.points)[0][1] for s in few]) for lens in lenses]))
+    ]
     poses = {f: board_poses(start, s, board.points)[0][0] for f, s in seen.items()}
     # bad start poses (a board nearly edge-on) would only be dropped later
     good = {f: p for f, p in poses.items() if p[2, 3] > 0}
@@ -97,16 +97,16 @@ def spread_out(
     frames = list(sightings)
     if not frames:
         return []
-    where = positions(sightings, size) * [1, 1, 3, 0.1]  # a board's size matters as well
+    spreads = [s.pixels.std(0) / size[0] for s in sightings.values()]
+    # place, size and slant of each board; the size matters most
+    where = np.array(
+        [
+            [*(s.pixels.mean(0) / size[0]), 3 * np.hypot(*spread), 0.1 * np.arctan2(*spread)]
+            for s, spread in zip(sightings.values(), spreads, strict=True)
+        ]
+    )
     most = int(np.argmax([len(s.ids) for s in sightings.values()]))
-    picked, distance = [most], np.linalg.norm(where - where[most], axis=1)
-    while len(picked) < min(count, len(frames)):
-        far = int(distance.argmax())
-        if distance[far] <= apart:
-            break
-        picked.append(far)
-        distance = np.minimum(distance, np.linalg.norm(where - where[far], axis=1))
-    return sorted(frames[i] for i in picked)
+    return sorted(frames[i] for i in far_apart(where, most, count, apart))
 
 
 def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], frames: Sequence[int]) -> Observations:
@@ -116,17 +116,14 @@ def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], 
     frames: frame numbers; their positions in this list are the frame indices in the result.
     """
     place = {f: k for k, f in enumerate(frames)}
+    none = np.zeros(0, np.int64)
     parts = [
         (np.full(len(s.ids), c), np.full(len(s.ids), place[f]), s.ids, s.pixels)
         for c, seen in sorted(sightings.items())
         for f, s in sorted(seen.items(), key=lambda item: place.get(item[0], -1))
         if f in place
     ]
-    if not parts:
-        empty = np.zeros(0, np.int64)
-        return Observations(empty, empty, empty, np.zeros((0, 2)))
-    c, f, i, p = (np.concatenate(v) for v in zip(*parts, strict=True))
-    return Observations(c, f, i, p)
+    return Observations(*map(np.concatenate, zip((none, none, none, np.zeros((0, 2))), *parts, strict=True)))
 
 
 def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list[tuple[Array, float]]:
@@ -207,10 +204,13 @@ def refine_boards(
     notes: sentences so far.
     """
     frames, named = list(boards), seen
-    seen = {
-        c: {f: s for f, s in v.items() if f in boards and _in_front(cameras[c], boards[f], board)}
-        for c, v in seen.items()
+    behind = {
+        (c, f)
+        for c, camera in enumerate(cameras)
+        for f, pose in boards.items()
+        if (transform(camera.camera_from_world @ pose, board.points)[:, 2] <= 0.01).any()
     }
+    seen = {c: {f: s for f, s in v.items() if f in boards and (c, f) not in behind} for c, v in seen.items()}
     poses = [board_poses(cameras[c], s, board.points)[0] for c, v in seen.items() for f, s in v.items() if f >= 0]
     alone = float(np.median([error for _, error in poses]))
     dropped: list[tuple[int, int]] = []
@@ -272,11 +272,6 @@ def refine_boards(
     )
 
 
-def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
-    """Test whether the whole board lies in front of the camera."""
-    return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
-
-
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
     """Summarise residuals by camera and frame.
 
@@ -334,5 +329,4 @@ def motion_noise(
             moved = (cameras[c].project(high) - cameras[c].project(low)) / (after - before)
             speed = float(np.sqrt(np.nanmean(moved**2))) if np.isfinite(moved).any() else 0.0
             out[c, f] = OFFSET_SD * speed
-    usual = float(np.median(list(out.values()))) if out else 0.0
-    return out | dict.fromkeys(unknown, usual)
+    return out | dict.fromkeys(unknown, (float(np.median(list(out.values()))) if out else 0.0))

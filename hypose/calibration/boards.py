@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.geometry import Array
 
 Gray = NDArray[np.uint8]
@@ -54,25 +54,20 @@ class Board:
     inverted: bool = False
 
     def __post_init__(self) -> None:
-        low = 3 if self.kind == "chessboard" else 2
-        if not (low <= self.columns <= 100 and low <= self.rows <= 100):
-            what = "inner corners" if self.kind == "chessboard" else "squares"
-            raise InputError(f"A {self.kind} has {low} to 100 {what} each way, got {self.columns} x {self.rows}.")
-        if not 1e-3 <= self.square <= 5:
-            raise InputError(
-                f"The board's squares are said to be {self.square:g} m wide; give 1 mm to 5 m, with the unit (115mm)."
-            )
-        if self.kind == "charuco":
-            if not 0 < self.marker < self.square:
-                raise InputError(
-                    f"The board's markers are said to be {self.marker:g} m wide; they must be smaller than the squares "
-                    f"({self.square:g} m)."
-                )
-            if self.dictionary not in dictionaries():
-                raise InputError(
-                    f"The marker dictionary {self.dictionary!r} is not known; the dictionaries are "
-                    f"{', '.join(dictionaries())}."
-                )
+        charuco = self.kind == "charuco"
+        low, what = (2, "squares") if charuco else (3, "inner corners")
+        wrong = not (low <= self.columns <= 100 and low <= self.rows <= 100)
+        faults = {
+            f"A {self.kind} has {low} to 100 {what} each way, got {self.columns} x {self.rows}": wrong,
+            f"The board's squares are said to be {self.square:g} m wide; give 1 mm to 5 m, with the unit (115mm)": (
+                not 1e-3 <= self.square <= 5
+            ),
+            f"The board's markers are said to be {self.marker:g} m wide; they must be smaller than the squares "
+            f"({self.square:g} m)": charuco and not 0 < self.marker < self.square,
+            f"The marker dictionary {self.dictionary!r} is not known; the dictionaries are "
+            f"{', '.join(dictionaries())}": charuco and self.dictionary not in dictionaries(),
+        }
+        refuse("", faults)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -169,8 +164,7 @@ def likely_shown(gray: Gray, board: Board) -> bool:
 
 def _charuco_detector(board: Board) -> Detector:
     """Make the detector of a ChArUco board, as `make_detector` does."""
-    pattern = opencv_charuco(board)
-    detector = cv2.aruco.CharucoDetector(pattern)
+    detector = cv2.aruco.CharucoDetector(opencv_charuco(board))
     nx = board.size[0]
 
     def detect(gray: Gray) -> BoardDetection | None:
@@ -214,37 +208,37 @@ def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
     size: corners along x and along y.
     Returns: (N, 2) px; None without a board.
     """
-    scale = min(1.0, _SEARCH_SIZE / max(gray.shape))
-    small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-    found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
-    if found:
-        return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
-    for sheet, sheet_from_image in sheet_views(small, size):
-        found, corners = cv2.findChessboardCornersSB(sheet, size, flags=_FLAGS)
-        if not found:  # the older detector closes gaps in overexposed boards
-            found, corners = cv2.findChessboardCorners(sheet, size)
+    for number, (view, image_from_view) in enumerate(board_views(gray, size, _SEARCH_SIZE)):
+        found, corners = cv2.findChessboardCornersSB(view, size, flags=_FLAGS)
+        if not found and number:  # the older detector closes gaps in overexposed boards
+            found, corners = cv2.findChessboardCorners(view, size)
         if found:
-            back = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), np.linalg.inv(sheet_from_image))
-            return (back.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
+            at = cv2.perspectiveTransform(corners.reshape(-1, 1, 2).astype(np.float64), image_from_view)
+            return np.asarray(at[:, 0], dtype=np.float64)
     return None
 
 
-def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array]]:
-    """Rectify the bright sheets of a picture to front views.
+def board_views(gray: Gray, size: tuple[int, int], largest: int) -> Iterator[tuple[Gray, Array]]:
+    """Yield a picture, and then its bright sheets, rectified to front views.
 
-    size: corners of the expected board along x and y, for the shape of the views.
-    Returns: an iterator over grey pictures and their sheet_from_image (3, 3).
+    size: corners of the expected board along x and y, for the shape of the front views.
+    largest: longer side to which the picture is reduced, px.
+    Returns: an iterator over grey pictures and their image_from_view (3, 3).
     """
-    for quad in _sheets(gray):
-        width, height = 32 * (size[0] + 3), 32 * (size[1] + 3)
-        margin = 48
-        target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) + np.float32(margin)
-        sheet_from_image = cv2.getPerspectiveTransform(quad.astype(np.float32), target)
-        shape = (width + 2 * margin, height + 2 * margin)
+    scale = min(1.0, largest / max(gray.shape))
+    small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    move = 0.5 / scale - 0.5
+    image_from_small = np.array([[1 / scale, 0.0, move], [0.0, 1 / scale, move], [0.0, 0.0, 1.0]])
+    yield small, image_from_small
+    width, height, margin = 32 * (size[0] + 3), 32 * (size[1] + 3), 48
+    target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) + np.float32(margin)
+    shape = (width + 2 * margin, height + 2 * margin)
+    for quad in _sheets(small):
+        sheet_from_small = cv2.getPerspectiveTransform(quad.astype(np.float32), target)
         sheet = cv2.warpPerspective(
-            gray, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            small, sheet_from_small, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        yield _gray(sheet), np.asarray(sheet_from_image, dtype=np.float64)
+        yield _gray(sheet), np.asarray(image_from_small @ np.linalg.inv(sheet_from_small), dtype=np.float64)
 
 
 def _sheets(gray: Gray) -> list[Array]:

@@ -47,9 +47,6 @@ class Observations:
     point: NDArray[np.int64]
     pixels: Array
 
-    def __len__(self) -> int:
-        return len(self.camera)
-
 
 def trial_lenses(name: str, size: tuple[int, int], factors: Array, fisheye: bool = False) -> list[Camera]:
     """Make cameras without distortion, whose focal lengths are factors of the longer side of the picture (size, px)."""
@@ -141,7 +138,7 @@ class Bundle(SharedProblem[list[Camera]]):
 
     def residuals(self, cameras: Sequence[Camera], groups: Array) -> Array:
         """Compute the residuals (M, 2), projected minus measured, px; 1e4 for points behind the camera."""
-        out = np.full((len(self.o), 2), _BEHIND_PX)
+        out = np.full(self.o.pixels.shape, _BEHIND_PX)
         for camera, s in zip(cameras, self.slices, strict=True):
             x = self._at(camera, groups, s)[1]
             front = x[:, 2] > 1e-6
@@ -162,8 +159,7 @@ class Bundle(SharedProblem[list[Camera]]):
         x = np.where(front[:, None], x, [0.0, 0.0, 1.0])
         uv, by_point, by_lens = project_with_derivatives(camera, x)
         e = np.where(front[:, None], uv - self.o.pixels[s], 0.0)
-        gain = front * self.weight[s] / self.scale[s] ** 2
-        root = np.sqrt(gain * self.loss((e**2).sum(1) / self.scale[s] ** 2)[1])
+        root = np.sqrt((front * self.weight[s] / self.scale[s] ** 2) * self.loss((e**2).sum(1) / self.scale[s] ** 2)[1])
         by_point, by_lens = by_point * root[:, None, None], by_lens * root[:, None, None]
         lens = self.lens(camera)
         jc = np.zeros((len(x), 2, self.count))
@@ -217,8 +213,7 @@ class Bundle(SharedProblem[list[Camera]]):
             k, f = camera.K.copy(), camera.K[[0, 1], [0, 1]]
             k[[0, 1], [0, 1]] = f * np.exp(np.clip(change[:2] / f, -0.5, 0.5))
             k[:2, 2] += change[2:4]
-            moved = replace(camera, K=k, distortion=camera.distortion + change[4:])
-            out.append(apply_parameters(moved, x[:6]))
+            out.append(apply_parameters(replace(camera, K=k, distortion=camera.distortion + change[4:]), x[:6]))
         groups = groups.copy()
         groups[:, :3, 3] += own[:, -3:]
         if self.own == 6:
@@ -333,8 +328,8 @@ class _BoardBundle(Bundle):
             free[i, :6] = i > 0 or (fixed is not None and bool(fixed.any()))
             free[i, 6 : 10 + _lens_size(camera)] = free_lens[i]
         self.lens_prior, self.free_lens, self.fixed, self.robust = prior, free_lens, fixed, robust
-        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(observations),))
-        weight = np.full(len(observations), robust**2)
+        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), len(observations.camera))
+        weight = np.full(len(observations.camera), robust**2)
         super().__init__(observations, points, weight, robust * self.noise, huber, count, free.ravel())
 
     def lens(self, camera: Camera) -> Array:
@@ -361,7 +356,7 @@ class _BoardBundle(Bundle):
         Why: it is at least 1/3, because errors that all corners have in common do not show in the residuals.
         """
         fixed = 0 if self.fixed is None else int(self.fixed.sum())
-        freedom = 2 * len(self.o) - int(self.free.sum()) - 6 * (len(np.unique(self.o.group)) - fixed)
+        freedom = self.o.pixels.size - int(self.free.sum()) - 6 * (len(np.unique(self.o.group)) - fixed)
         if freedom < 60:
             return 1.0
         # outliers do not count as noise

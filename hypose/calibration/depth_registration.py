@@ -70,8 +70,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
     a, b = joints_a[inside].reshape(-1, 3), at.reshape(-1, 3)
     flat_a, flat_b = (np.column_stack([p[:, :2], np.zeros(len(p))]) for p in (a, b))
     motion, _ = robust_motion(flat_b, flat_a, np.ones(len(a)), 8)
-    away = np.linalg.norm(transform(motion, b) - a, axis=1)
-    apart = float(np.median(away))
+    apart = float(np.median(np.linalg.norm(transform(motion, b) - a, axis=1)))
     if apart > AGREE_M:
         raise CalibrationError(
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
@@ -147,8 +146,7 @@ class _SensorProblem(PoseProblem[Array]):
         for r in rows:
             # a moving sensor moves its points in the world, so the derivative has the opposite sign
             by_all = np.zeros((len(r.view), len(shared), len(_ON_FLOOR)))
-            wrench = np.concatenate([np.cross(r.point, r.slope), r.slope], 1)
-            by_all[np.arange(len(r.view)), r.view] = -wrench[:, _ON_FLOOR]
+            by_all[np.arange(len(r.view)), r.view] = -np.c_[np.cross(r.point, r.slope), r.slope][:, _ON_FLOOR]
             by_frame.append(by_all.reshape(len(r.view), -1))
         count = len(self.free)
         return 1e-6 * np.eye(count), np.zeros(count), by_frame
@@ -186,5 +184,4 @@ def place_error(found: Array, true: Array, at: Array) -> tuple[float, float]:
     """
     difference = found @ se3_inverse(true)
     angle = np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)))
-    moved = transform(se3_inverse(found), transform(true, at[None])) - at
-    return float(angle), float(np.linalg.norm(moved))
+    return float(angle), float(np.linalg.norm(transform(se3_inverse(found), transform(true, at[None])) - at))

@@ -20,12 +20,13 @@ from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
     certain_delays,
-    odd_view_out,
+    displaced,
+    scatter,
     timing_findings,
     undo_faults,
 )
 from hypose.calibration.findings import INVALID, REVIEW, Finding, Limits
-from hypose.calibration.refine_points import CameraChange, changes
+from hypose.calibration.refine_points import changes
 from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, tangent_planes
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
@@ -43,7 +44,6 @@ _LOOK_AT_MASKS = (
     "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
     "give a photo or clip of the empty room as background, masks of your own, or key points"
 )
-_REFINE = "run hypose check --refine and use the calibration that it writes"
 
 
 def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int], Array]:
@@ -66,12 +66,9 @@ def tangency_by_view(rig: CameraRig, tracks: Sequence[MaskTrack]) -> Array:
     tracks: mask track of each view.
     Returns: (C,) median over a view's pairs of the median over frames and tangents, px; NaN without data.
     """
-    pairs, out = tangency(rig, tracks), np.full(len(tracks), np.nan)
-    for c in range(len(tracks)):
-        mine = [np.nanmedian(np.abs(v)) for k, v in pairs.items() if c in k and np.isfinite(v).any()]
-        if mine:
-            out[c] = float(np.median(mine))
-    return out
+    medians = {k: np.nanmedian(np.abs(v)) for k, v in tangency(rig, tracks).items() if np.isfinite(v).any()}
+    by_view = [[m for pair, m in medians.items() if c in pair] for c in range(len(tracks))]
+    return np.array([np.median(mine) if mine else np.nan for mine in by_view])
 
 
 @dataclass(frozen=True)
@@ -102,13 +99,19 @@ class MaskViews:
         by_view = tangency_by_view(self.rig, self.tracks)[seen] / self.size[seen]
         return float(np.mean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0))) if seen.sum() > 1 else 0.0
 
+    @property
+    def frames(self) -> int:
+        """Number T of frames."""
+        return len(self.tracks[0].area)
+
     def few(self, count: int = _JUDGED) -> MaskViews:
         """Keep `count` frames, evenly spread."""
-        return replace(self, tracks=_few(self.tracks, count))
+        rows = np.unique(np.linspace(0, self.frames - 1, min(count, self.frames)).astype(int))
+        return replace(self, tracks=[t.at(rows) for t in self.tracks])
 
     def on_clock(self, late: Array) -> MaskViews:
         """Shift the views in time, so that their frames t + late (C,) become frame t."""
-        frames = np.arange(len(self.tracks[0].area))
+        frames = np.arange(self.frames)
         return replace(self, tracks=[t.at(frames + round(x)) for t, x in zip(self.tracks, late, strict=True)])
 
     def of_some(self, cameras: CameraRig, kept: list[int]) -> float:
@@ -178,35 +181,34 @@ def gross_silhouettes(seen: MaskViews, o: Limits) -> tuple[Finding, ...]:
     return (*findings, *_unit(seen, o))
 
 
-def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
-    total = len(tracks[0].area)
-    rows = np.unique(np.linspace(0, total - 1, min(count, total)).astype(int))
-    return [t.at(rows) for t in tracks]
-
-
 def _gross_masks(seen: MaskViews, o: Limits) -> tuple[list[Finding], MaskViews]:
     """Find and undo up to two gross faults by the tangent planes of the masks.
 
     Returns: the findings, and the masks after the faults were undone.
     """
 
-    def trials(cameras: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
-        def turned(c: int, factor: Array) -> list[MaskTrack]:
-            middle, track = (np.array(cameras[c].size) - 1) / 2, tracks[c]
+    def trials(cameras: CameraRig, now: MaskViews) -> Iterator[Trial[MaskViews]]:
+        def turned(c: int, factor: Array) -> MaskViews:
+            middle, track = (np.array(cameras[c].size) - 1) / 2, now.tracks[c]
             outline = middle + factor * (track.outline - middle)
             changed = tuple(None if p is None else middle + factor * (p - middle) for p in track.changed)
-            return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
+            other = replace(track, outline=outline, changed=changed)
+            return replace(now, tracks=[*now.tracks[:c], other, *now.tracks[c + 1 :]])
 
-        return geometric_trials(cameras, tracks, turned, lambda order: [tracks[k] for k in order])
-
-    def measure(cameras: CameraRig, tracks: list[MaskTrack], _: Sequence[int]) -> float:
-        return MaskViews(cameras, tracks, seen.size).score()
+        return geometric_trials(cameras, now, turned, lambda order: replace(now, tracks=[now.tracks[k] for k in order]))
 
     most = 2 if seen.few(_FEW).score() >= o.gross else 0
-    findings, rig, tracks = undo_faults(
-        seen.rig, seen.tracks, trials, measure, partial(_few, count=_FEW), o, most, _SCATTER
+    findings, rig, seen = undo_faults(
+        seen.rig,
+        seen,
+        trials,
+        lambda cameras, now, _: replace(now, rig=cameras).score(),
+        lambda now: now.few(_FEW),
+        o,
+        most,
+        _SCATTER,
     )
-    return findings, MaskViews(rig, tracks, seen.size)
+    return findings, replace(seen, rig=rig)
 
 
 def _timing(seen: MaskViews, o: Limits) -> tuple[Array, list[Finding]]:
@@ -215,10 +217,11 @@ def _timing(seen: MaskViews, o: Limits) -> tuple[Array, list[Finding]]:
     Returns: (C,) frames, 0 where it is not certain, and for all views of fewer than 24 frames; and the findings.
     """
     n = len(seen.rig)
-    if len(seen.tracks[0].area) < 24:
+    if seen.frames < 24:
         return np.zeros(n), []
-    curves = partial(silhouette_curves, seen.rig, seen.tracks)
-    late, sd = certain_delays(curves, n, o, max(o.late, 0.6), 2 * o.late_gain)
+    late, sd = certain_delays(
+        partial(silhouette_curves, seen.rig, seen.tracks), n, o, max(o.late, 0.6), 2 * o.late_gain
+    )
     return late, list(timing_findings(seen.rig, late, sd))
 
 
@@ -248,14 +251,9 @@ def _scattered(seen: MaskViews, before: float) -> Finding:
 
     before: disagreement of the tangent planes, share of the person's size.
     """
-    disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
-    limit = min(0.5 * _SCATTER, 0.25 * before)
-    odd = odd_view_out(seen.rig, seen.of_some, limit) if (seen.size > 0).sum() > 3 else None
-    if odd is None:
-        return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
-    name = seen.rig.names[odd[0]]
-    text = f"{name}: {disagree}, by {100 * odd[1]:.0f} % without this view"
-    return Finding("scatter", (name,), text, _LOOK_AT_MASKS, before)
+    said = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
+    limit = min(0.5 * _SCATTER, 0.25 * before) if (seen.size > 0).sum() > 3 else 0.0
+    return scatter(seen.rig, seen.of_some, limit, said, (_LOOK_AT_MASKS, _LOOK_AT_MASKS), before)
 
 
 @dataclass(frozen=True)
@@ -288,16 +286,14 @@ def _best_moved(rig: CameraRig, seen: MaskViews, o: Limits) -> _Moved | None:
     tried = [replace(few, rig=_moved_alone(few, c)) for c in range(len(rig))]
     left = [moved.score() for moved in tried]
     c = int(np.argmin(left))
-    change: CameraChange = changes(seen.rig, tried[c].rig, seen.looked_at()[None])[c]
+    change = changes(seen.rig, tried[c].rig, seen.looked_at()[None])[c]
     px = change.image_px * rig.sizes[c, 0] / seen.rig.sizes[c, 0]
-    text = (
-        f"{rig.names[c]}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
-        f"{px:.0f} px in its image; the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's "
-        f"size, after moving this camera by {100 * left[c]:.1f} %"
+    evidence = (
+        f"the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size, after moving this "
+        f"camera by {100 * left[c]:.1f} %"
     )
     far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
-    finding = Finding("extrinsics", (rig.names[c],), text, _REFINE, px)
-    return _Moved(before, left[c], replace(seen, rig=tried[c].rig), far, finding)
+    return _Moved(before, left[c], replace(seen, rig=tried[c].rig), far, displaced(change, px, evidence))
 
 
 def _moved_alone(seen: MaskViews, c: int) -> CameraRig:
@@ -312,8 +308,7 @@ def _moved_alone(seen: MaskViews, c: int) -> CameraRig:
     def rows(x: Array) -> Array:
         moved, others = camera(x), [k for k in range(len(rig)) if k != c]
         pairs = [tangency(CameraRig((moved, rig[k])), [seen.tracks[c], seen.tracks[k]])[0, 1] for k in others]
-        r = np.clip(np.nan_to_num(np.concatenate(pairs, None)), -50 * scale, 50 * scale) / scale
-        return np.r_[r, 0.3 * x]
+        return np.r_[(np.clip(np.nan_to_num(np.concatenate(pairs, None)), -50 * scale, 50 * scale) / scale), 0.3 * x]
 
     found = least_squares(rows, np.zeros(6), loss="soft_l1", max_nfev=12, diff_step=1e-3).x
     return CameraRig((*rig.cameras[:c], camera(found), *rig.cameras[c + 1 :]))
@@ -374,9 +369,12 @@ def focal_findings(rig: CameraRig, disagree: Callable[[CameraRig, list[int]], fl
     off, sd = abs(x), float(np.sqrt((1 - 1 / len(views)) * (moves**2).sum()))
     if off > max(_FAULT_LOG_FACTOR, LIKELY * sd) and sd < KNOWN:
         factor = np.exp(x)
-        text = (
+        yield Finding(
+            "focal",
+            (),
             f"All cameras: the views agree best if every focal length were {factor:.2f} times as long (sd "
-            f"{factor * sd:.2f}); as they are, the person comes out {factor:.2f} times as large"
+            f"{factor * sd:.2f}); as they are, the person comes out {factor:.2f} times as large",
+            "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths",
+            off,
+            INVALID if off > CERTAIN * sd else REVIEW,
         )
-        cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
-        yield Finding("focal", (), text, cure, off, severity=INVALID if off > CERTAIN * sd else REVIEW)

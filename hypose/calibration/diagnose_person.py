@@ -67,17 +67,23 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
     best, other = min(found, default=(np.inf, ""))
     declared = next((k for k, v in KEYPOINT_SETS.items() if tuple(v) == tuple(names)), "given")
     if not best < min(RIGHT_SET, TELLS * own):
-        text = (
+        return Finding(
+            "keypoint_set",
+            (),
             f"All cameras: read as {declared}, the key points make a body whose bones are off by {100 * own:.0f} % of "
-            "their length, and no other set that hypose knows fits"
+            "their length, and no other set that hypose knows fits",
+            "check keypoint_set in recording.toml against the detector",
+            own,
         )
-        return Finding("keypoint_set", (), text, "check keypoint_set in recording.toml against the detector", own)
     slots = f" (in the first {len(KEYPOINT_SETS[other])} of {count} slots)" if len(KEYPOINT_SETS[other]) < count else ""
-    text = (
+    return Finding(
+        "keypoint_set",
+        (),
         f"All cameras: the key points are those of the set {other}{slots}, not {declared}: read so, bones are off by "
-        f"{100 * best:.0f} % of their length instead of {100 * own:.0f} %"
+        f"{100 * best:.0f} % of their length instead of {100 * own:.0f} %",
+        f'set keypoint_set = "{other}" in recording.toml',
+        own,
     )
-    return Finding("keypoint_set", (), text, f'set keypoint_set = "{other}" in recording.toml', own)
 
 
 def _disorder(points_world: Array, names: Sequence[str]) -> float:
@@ -91,12 +97,9 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
     """
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
-    lengths: dict[tuple[str, str], Array] = {}
-    for a, b in template:
-        d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
-        d = d[np.isfinite(d)]
-        if len(d) >= 3:
-            lengths[a, b] = d
+    bones = {(a, b): points_world[:, column[a]] - points_world[:, column[b]] for a, b in template}
+    measured = {k: np.linalg.norm(bone[np.isfinite(bone).all(1)], axis=1) for k, bone in bones.items()}
+    lengths = {k: d for k, d in measured.items() if len(d) >= 3}
     if len(lengths) < _LEAST_BONES:
         return float("nan")
     scatter = float(np.median([np.median(np.abs(d - np.median(d))) for d in lengths.values()]))
@@ -193,9 +196,12 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:
         axis = _axis(mean)
-        text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
-        cure = f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way"
-        yield Finding("up", (), text, cure)
+        yield Finding(
+            "up",
+            (),
+            f"All cameras: the top of their images points along the world's {axis} axis, which should be z",
+            f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way",
+        )
 
 
 def _axis(direction: Array) -> str:
@@ -293,13 +299,21 @@ def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) 
             yield _wrong_size(camera, clip.size, clip.accepted)
         off = abs((clip.frame_rate or usual) / usual - 1)
         if off > 0.005:
-            text = f"{camera.name}: {clip.frame_rate:g} frames/s, the other views have {usual:g}"
-            cure = f"convert it to {usual:g} frames/s (ffmpeg -i IN -r {usual:g} OUT)"
-            yield Finding("frame_rate", (camera.name,), text, cure, off)
+            yield Finding(
+                "frame_rate",
+                (camera.name,),
+                f"{camera.name}: {clip.frame_rate:g} frames/s, the other views have {usual:g}",
+                f"convert it to {usual:g} frames/s (ffmpeg -i IN -r {usual:g} OUT)",
+                off,
+            )
         if clip.frames and abs(clip.frames - most) > max(2, 0.01 * most):
-            text = f"{camera.name}: {clip.frames} frames, the other views have {most}"
-            cure = "copy the video again if it was cut off; else check with hypose sync that all started together"
-            yield Finding("frame_count", (camera.name,), text, cure, float(abs(clip.frames - most)))
+            yield Finding(
+                "frame_count",
+                (camera.name,),
+                f"{camera.name}: {clip.frames} frames, the other views have {most}",
+                "copy the video again if it was cut off; else check with hypose sync that all started together",
+                float(abs(clip.frames - most)),
+            )
 
 
 def _wrong_size(camera: Camera, size: tuple[int, int], accepted: bool) -> Finding:
@@ -308,23 +322,23 @@ def _wrong_size(camera: Camera, size: tuple[int, int], accepted: bool) -> Findin
     accepted: the user has stated that the images were only stretched.
     """
     (w, h), (cw, ch) = size, camera.size
-    fx, fy = w / cw, h / ch
-    text = f"{camera.name}: its images are {w} x {h} px, it is calibrated for {cw} x {ch} px"
+    fx, fy, severity = w / cw, h / ch, INVALID
+    by, off = f"{fx:.4f} x {fy:.4f}", abs(fx / fy - 1)
     if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
-        return Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back")
-    if accepted:
-        text += f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
-        return Finding("size", (camera.name,), text, "nothing", abs(fx / fy - 1), severity=REVIEW)
-    if abs(fx / fy - 1) < 0.002:
-        text += f": scaled to {100 * fx:.0f} %"
+        how, cure, off = " (turned by 90 degrees)", "turn the video back", 1.0
+    elif accepted:
+        how, cure, severity = f": stretched by {by}, as accepted", "nothing", REVIEW
+    elif off < 0.002:
+        how, off, severity = f": scaled to {100 * fx:.0f} %", abs(fx - 1), REVIEW
         cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
-        return Finding("size", (camera.name,), text, cure, abs(fx - 1), severity=REVIEW)
-    text += f": scaled by {fx:.4f} x {fy:.4f}, or cut by {cw - w} x {ch - h} px"
-    cure = (
-        "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal point and "
-        "the size in the calibration"
-    )
-    return Finding("size", (camera.name,), text, cure, abs(fx / fy - 1))
+    else:
+        how, cure = (
+            f": scaled by {by}, or cut by {cw - w} x {ch - h} px",
+            "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal point "
+            "and the size in the calibration",
+        )
+    text = f"{camera.name}: its images are {w} x {h} px, it is calibrated for {cw} x {ch} px{how}"
+    return Finding("size", (camera.name,), text, cure, off, severity)
 
 
 def person_findings(

@@ -168,8 +168,7 @@ def _contradicted(rig: CameraRig, uv: Array, confidence: Array, found: Array, o:
         except EvidenceError:
             continue
         size = np.abs(found)
-        away = np.abs(_by_first_of_two(offsets.frames) - found)
-        out |= (offsets.sd < size / 3) & (away > np.maximum(size / 2, 0.5))
+        out |= (offsets.sd < size / 3) & (np.abs(_by_first_of_two(offsets.frames) - found) > np.maximum(size / 2, 0.5))
     return out & (np.abs(found) < offsets_within(o.largest_lag, long) - 1)
 
 
@@ -186,13 +185,11 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
     """
     for name, x, s in zip(rig.names, late, sd, strict=True):
         if x != 0:
-            way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
-            text = f"{name}: {abs(x):.1f} frames {way} against the other views (sd {s:.2f})"
+            rest, cure = f" (sd {s:.2f})", "run hypose sync, and track what it writes"
             if not np.isfinite(s):
-                text = (
-                    f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
-                )
+                rest = ", or more: the clip is too short to tell"
                 cure = "run hypose sync on more frames, with a larger --largest"
+            text = f"{name}: {abs(x):.1f} frames {'late' if x > 0 else 'early'} against the other views{rest}"
             yield Finding("late", (name,), text, cure, abs(x), INVALID if fault else REVIEW)
 
 
@@ -206,6 +203,8 @@ AGREE = 0.02
 FAR_DEG, FAR_M = 10.0, 0.5
 """Movement of a camera by a refinement, degrees and m, above which wrong key points are more likely than a wrong
 calibration."""
+REFINE = "run hypose check --refine and use the calibration that it writes"
+"""Next step for a camera that is displaced."""
 _MOST_FRAMES = 30
 _COMMON = 60  # points that two views have to see together to judge each other
 
@@ -239,7 +238,11 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Fin
     moved = changes(rig, refined, transform(old_from_new, found.points))
     far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
     if min(before, after) > o.scatter * person or (far and after > AGREE * person):
-        return [_no_one_person(rig, pixels, before, after)], moved
+        said = (
+            f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is "
+            "moved (frames not used)"
+        )
+        return [scatter(rig, lambda r, kept: disagreement(r, pixels[kept]), AGREE, said, _OTHER_PERSON, before)], moved
     findings = _wrong_lenses(rig, lens, *judged, after, person, o) if c > 2 else []
     if any(f.fault for f in findings) or after >= o.extrinsics * before or before - after <= o.gain * person:
         return findings, moved
@@ -252,21 +255,28 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> tuple[list[Fin
     seen = (confidence > 0.3).reshape(c, -1).astype(int)
     common = (seen @ seen.T >= _COMMON) & ~np.eye(c, dtype=bool)
     sure = common.sum(1) > 1
-    for m in itertools.compress(moved, off & sure):
-        text = (
-            f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
-            f"{m.image_px:.0f} px in its image; {missed}"
-        )
-        cure = "run hypose check --refine and use the calibration that it writes"
-        findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
+    findings += [displaced(m, m.image_px, missed) for m in itertools.compress(moved, off & sure)]
     unsure = off & ~sure
     if unsure.any() and not any(f.fault for f in findings):
         names = tuple(itertools.compress(rig.names, unsure | common[unsure].any(0)))
         two = "they do not agree, and two views alone cannot show which of them is wrong"
         text = f"{' and '.join(names)}: {two}; {missed}"
         cure = "film with a third camera, or run hypose check --refine"
-        findings.append(Finding("extrinsics", names, text, cure, max(itertools.compress(px, unsure))))
+        findings.append(Finding("extrinsics", names, text, cure, px[unsure].max()))
     return findings, moved
+
+
+def displaced(change: CameraChange, px: float, evidence: str) -> Finding:
+    """Make the finding that a camera is displaced.
+
+    px: movement of the person in its image, px of the calibrated size.
+    evidence: how much the views disagree before and after the change.
+    """
+    text = (
+        f"{change.name}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
+        f"{px:.0f} px in its image; {evidence}"
+    )
+    return Finding("extrinsics", (change.name,), text, REFINE, px)
 
 
 def _wrong_lenses(
@@ -292,56 +302,50 @@ def _wrong_lenses(
         radius = np.linalg.norm(uv[c][confidence[c] > 0.3] - camera.K[:2, 2], axis=1) / focal
         effect = abs(k1) * float(np.percentile(np.r_[radius, 0.0], 90)) ** 3 * focal
         if abs(k1) > o.lens_z * lens.radial_sd[c] and effect > o.lens_px * person:
-            text, cure = "other lens coefficients would fit as well", "nothing, if the lenses were calibrated"
-            if wrong:
-                text = f"its lens coefficients do not fit: a radial term of {k1:+.2f} is missing"
-                cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
-            text = (
-                f"{rig[c].name}: {text}, {effect:.1f} px where the person is; with them the residual is {freed:.1f} px"
+            what, cure = (
+                f"its lens coefficients do not fit: a radial term of {k1:+.2f} is missing",
+                "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients",
             )
-            text += f" instead of {without:.1f} px"
+            if not wrong:
+                what, cure = "other lens coefficients would fit as well", "nothing, if the lenses were calibrated"
+            text = (
+                f"{rig[c].name}: {what}, {effect:.1f} px where the person is; with them the residual is {freed:.1f} px "
+                f"instead of {without:.1f} px"
+            )
             out.append(Finding("distortion", (rig[c].name,), text, cure, effect, INVALID if wrong else REVIEW))
     return out
 
 
-def odd_view_out(
-    rig: CameraRig, disagree: Callable[[CameraRig, list[int]], float], limit: float
-) -> tuple[int, float] | None:
-    """Find the only view without which the other views agree.
+_OTHER_PERSON = (
+    "check whether video and key points of every view are of this recording and show the same person",
+    "check whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
+    "else calibrate this camera again, or leave the view out",
+)
 
-    disagree: function of some of the cameras and their indices that gives their disagreement.
+
+def scatter(
+    rig: CameraRig,
+    disagree: Callable[[CameraRig, list[int]], float],
+    limit: float,
+    said: str,
+    cures: tuple[str, str],
+    size: float,
+) -> Finding:
+    """Make the finding that the views do not show one person; it names the view without which the others agree, where
+    there is exactly one, and at least four views.
+
+    disagree: function of some of the cameras and their indices that gives their disagreement, share of the person's
+        size.
     limit: largest disagreement of views that agree.
-    Returns: index of the view, and the disagreement of the others; None with fewer than four views, or where no view or
-        several views explain the disagreement.
+    said: how much all views disagree.
+    cures: next step where all views are doubtful, and where only one is.
+    size: of the finding.
     """
     views = range(len(rig))
     rest = [[k for k in views if k != c] for c in (views if len(rig) > 3 else ())]
     left = [disagree(CameraRig(tuple(rig[k] for k in kept)), kept) for kept in rest] or [np.inf]
     c = int(np.argmin(left))
     if not left[c] < limit or sum(w < max(limit, 2 * left[c]) for w in left) > 1:
-        return None
-    return c, left[c]
-
-
-def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
-    """Make the finding that the views disagree wherever the cameras are moved; it names a view without which the others
-    agree.
-
-    pixels: (C, T, K, 3) distorted px, and confidence.
-    before, after: median residual before and after all cameras were moved, px.
-    """
-    odd = odd_view_out(rig, lambda cameras, kept: disagreement(cameras, pixels[kept]), AGREE)
-    said = (
-        f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is moved "
-        "(frames not used)"
-    )
-    if odd is None:
-        cure = "check whether video and key points of every view are of this recording and show the same person"
-        return Finding("scatter", (), f"All cameras: {said}", cure, before)
-    name = rig.names[odd[0]]
-    text = f"{name}: {said}; without this view the others agree to {100 * odd[1]:.1f} % of the person's size"
-    cure = (
-        "check whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
-        "else calibrate this camera again, or leave the view out"
-    )
-    return Finding("scatter", (name,), text, cure, before)
+        return Finding("scatter", (), f"All cameras: {said}", cures[0], size)
+    others = f"without this view the others agree to {100 * left[c]:.1f} % of the person's size"
+    return Finding("scatter", (rig.names[c],), f"{rig.names[c]}: {said}; {others}", cures[1], size)

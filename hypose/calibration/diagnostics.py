@@ -23,7 +23,7 @@ from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_fi
 from hypose.calibration.diagnose_points import judge_extrinsics, late_views, timing_findings, undo_point_faults
 from hypose.calibration.findings import REVIEW, Finding, Limits, ViewFile, depth_findings
 from hypose.calibration.limb_offsets import align_to_masks, view_masks
-from hypose.calibration.refine_points import CameraChange, left_out_residual, point_residual
+from hypose.calibration.refine_points import CameraChange, point_residual
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.depth_evidence import Depth
@@ -87,12 +87,12 @@ def examine(observed: Observed) -> tuple[PersonReport, Cured]:
     Raises: EvidenceError where there are neither key points nor silhouettes.
     """
     o, n, points = Limits(), len(observed.rig), observed.keypoints
-    findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
-    findings += [
-        Finding("people", (), text, "nothing, if that is right", 0.0, severity=REVIEW) for text in observed.people
-    ]
     by_depth = depth_findings(observed.depths)
-    findings += by_depth
+    findings = [
+        *clip_findings(observed.rig, observed.clips, observed.frame_rate),
+        *(Finding("people", (), text, "nothing, if that is right", 0.0, severity=REVIEW) for text in observed.people),
+        *by_depth,
+    ]
     if (points[..., 2] > 0.3).any((1, 2)).sum() < 2:
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # for depth cameras, masks give no better information: their faults follow from those of the depth maps
@@ -152,16 +152,19 @@ def _against_masks(
     if not known:
         return 0, shift
     found = [a for a in made if a is not None]
-    lags = np.array([a.lag for a in found])
-    lag = int(np.rint(np.median(lags)))
+    lag = int(np.rint(np.median(np.array([a.lag for a in found]))))
     votes = sum(abs(a.lag - lag) < 0.75 and a.lag_sd < o.keypoint_lag_sd for a in found)
     if lag and 2 * votes > len(found):
-        text = (
-            f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} "
-            f"against the videos in {votes} of {len(rig)} views: file t belongs to video frame t{lag:+d}"
+        findings.append(
+            Finding(
+                "keypoint_lag",
+                (),
+                f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} "
+                f"against the videos in {votes} of {len(rig)} views: file t belongs to video frame t{lag:+d}",
+                f"set keypoint_lag = {lag} in recording.toml (counted from its present value)",
+                float(abs(lag)),
+            )
         )
-        cure = f"set keypoint_lag = {lag} in recording.toml (counted from its present value)"
-        findings.append(Finding("keypoint_lag", (), text, cure, float(abs(lag))))
     else:
         lag = 0
     # a part that is common to all views comes from the detector's definition of the joints; limbs are mostly vertical,
@@ -180,9 +183,15 @@ def _against_masks(
         x, y = np.round(shift[c], 1)
         where = [f"{abs(x):g} px to the {'right' if x > 0 else 'left'} of"] if x else []
         where += [f"{abs(y):g} px {'below' if y > 0 else 'above'}"] if y else []
-        text = f"{rig.names[c]}: its key points lie {' and '.join(where)} the person in its images, constantly"
-        cure = f"set image_shift = [{x:g}, {y:g}] for this view in recording.toml"
-        findings.append(Finding("keypoint_shift", (rig.names[c],), text, cure, float(np.linalg.norm(shift[c]))))
+        findings.append(
+            Finding(
+                "keypoint_shift",
+                (rig.names[c],),
+                f"{rig.names[c]}: its key points lie {' and '.join(where)} the person in its images, constantly",
+                f"set image_shift = [{x:g}, {y:g}] for this view in recording.toml",
+                float(np.linalg.norm(shift[c])),
+            )
+        )
     return lag, shift
 
 
@@ -197,7 +206,7 @@ def _views(observed: Observed, pixels: Array, changed: Sequence[CameraChange] | 
     numbers = np.full((3, c), np.nan)
     if c > 1:
         flat, seen = uv.reshape(c, -1, 2), confidence.reshape(c, -1)
-        residuals = point_residual(rig, flat, seen), left_out_residual(rig, flat, seen)
+        residuals = [point_residual(rig, flat, seen, left_out=left_out) for left_out in (False, True)]
         numbers[:2] = [[np.nanmedian(v) if np.isfinite(v).any() else np.nan for v in r] for r in residuals]
     some = observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)]
     if c > 1 and any(s is not None for s in some):

@@ -178,19 +178,18 @@ def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
     """Find cameras whose maps have so many holes that no surface is left."""
     for c in _cameras(depths):
         w, h = depths[0].rig[c].size
-        shares = list[float]()
-        for measured in ((depth.maps[c, :h, :w] > 0).astype(np.uint8) for depth in depths if depth.usable[c]):
-            whole = cv2.erode(measured, np.ones((3, 3), np.uint8), borderValue=1)
-            shares.append(1 - float(whole.sum()) / max(1, int(measured.sum())))
-        share = float(np.median(shares))
+        measured = [(depth.maps[c, :h, :w] > 0).astype(np.uint8) for depth in depths if depth.usable[c]]
+        whole = [cv2.erode(m, np.ones((3, 3), np.uint8), borderValue=1).sum() / max(1, m.sum()) for m in measured]
+        share, name = 1 - float(np.median(whole)), depths[0].rig.names[c]
         if share > _RIDDLED:
-            name = depths[0].rig.names[c]
-            text = (
+            yield Finding(
+                "holes",
+                (name,),
                 f"{name} has holes all over its depth maps: {100 * share:.0f} % of what it measures is next to one, "
-                "and nothing shows a surface"
+                "and nothing shows a surface",
+                "look at its maps, record without what dazzles it, and without a filter that drops single values",
+                share,
             )
-            cure = "look at its maps, record without what dazzles it, and without a filter that drops single values"
-            yield Finding("holes", (name,), text, cure, share)
 
 
 def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
@@ -203,9 +202,14 @@ def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
     for c in np.flatnonzero(often > _BLANK).tolist():
         name = depths[0].rig.names[c]
         when = "in all frames" if often[c] == 1 else f"in {100 * often[c]:.0f} % of the frames"
-        text = f"{name} measures nothing {when} that were looked at: its depth maps are empty"
-        cure = "check whether it recorded, and give its maps again, or take its [[view]] out of recording.toml"
-        yield Finding("blank", (name,), text, cure, float(often[c]), REVIEW if left.any() else INVALID)
+        yield Finding(
+            "blank",
+            (name,),
+            f"{name} measures nothing {when} that were looked at: its depth maps are empty",
+            "check whether it recorded, and give its maps again, or take its [[view]] out of recording.toml",
+            float(often[c]),
+            REVIEW if left.any() else INVALID,
+        )
 
 
 def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
@@ -223,13 +227,16 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
         tilt = float(np.degrees(np.arccos(np.clip(own[:3, 2] @ camera.camera_from_world[:3, 2], -1, 1))))
         size = max(abs(away) / FLOOR_M, tilt / FLOOR_DEGREES)
         if size > 1:
-            where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
-            text = f"{camera.name} sees the floor{when} {where}"
-            cure = (
+            yield Finding(
+                "floor",
+                (camera.name,),
+                f"{camera.name} sees the floor{when} {1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0,"
+                f" tilted by {tilt:.1f} degrees",
                 "check whether its maps are in millimetres and whether it has been moved since it was calibrated; "
-                "hypose depth-import finds the cameras' places again"
+                "hypose depth-import finds the cameras' places again",
+                size,
+                INVALID if size > PLAINLY else REVIEW,
             )
-            yield Finding("floor", (camera.name,), text, cure, size, INVALID if size > PLAINLY else REVIEW)
 
 
 def seen_past(depth: Depth) -> tuple[int, int]:
@@ -267,12 +274,12 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     share = float(np.quantile(shares, 2 / 3)) if len(shares) >= _FRAMES else 0.0
     if share > _REFUTED:
         names = tuple(depths[0].rig.names[c] for c in _cameras(depths))
-        text = (
+        yield Finding(
+            "places",
+            names,
             f"{' and '.join(names)} do not see the person at one place: one sees past {100 * share:.0f} % of what the "
-            "other sees of them"
-        )
-        cure = (
+            "other sees of them",
             "check whether every camera has its own maps of the same recording, not mirrored and not another camera's, "
-            "and whether they all began at the same time; hypose depth-import finds the cameras' places again"
+            "and whether they all began at the same time; hypose depth-import finds the cameras' places again",
+            share,
         )
-        yield Finding("places", names, text, cure, share)

@@ -80,8 +80,7 @@ def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.
     margin = 1.5 * board.square
     seen &= ~(((points[..., :2] > low[:2] - margin) & (points[..., :2] < high[:2] + margin)).all(-1))
     map_x, map_y = (np.where(seen, uv[..., i], 0).astype(np.float32) for i in (0, 1))
-    top = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR).astype(np.float32)
-    return top, seen
+    return cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR).astype(np.float32), seen
 
 
 def _correlation(
@@ -125,8 +124,6 @@ def floor_frame(
     Returns: the frame, None where there is none, and a sentence about the choice.
     Raises: CalibrationError where no board is near the wanted frame.
     """
-    if not boards:
-        return None, ""
     frames = sorted(boards)
     if wanted is not None:
         near = min(frames, key=lambda f: abs(f - wanted))
@@ -177,8 +174,7 @@ def place_on_floor(
     else:
         turn = frame_of(_common_up(rig), rig[0].camera_from_world[0, :3]).T[[1, 2, 0]]
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
-        origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
-        world_from_old = se3(turn, -origin)
+        world_from_old = se3(turn, -np.array([*corners[:, :2].mean(0), corners[:, 2].min()]))
     return transform_rig(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
 
 
@@ -270,14 +266,13 @@ def calibrate_from_boards(
     lens_views: tuple[CameraViews, ...] = ()
     if lens_sources:
         lens_views = look_for_board(lens_sources, board, o.max_frames, False, o.progress)
-        unknown = {v.name for v in lens_views} ^ {s.name for s in sources}
-        if unknown:
+        if {v.name for v in lens_views} ^ {s.name for s in sources}:
             raise CalibrationError(
                 f"The lens pictures are of {', '.join(v.name for v in lens_views)}, the others of "
                 f"{', '.join(s.name for s in sources)}; name the files or folders alike."
             )
-        by_name = {v.name: v for v in lens_views}
-        lens_views = tuple(by_name[s.name] for s in sources)
+        order = [s.name for s in sources]
+        lens_views = tuple(sorted(lens_views, key=lambda v: order.index(v.name)))
     views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
@@ -293,8 +288,6 @@ def calibrate_from_boards(
             [v.sightings for v in lens_views] or None,
         )
         _determined(fit)
-    except BoardsNotFound:
-        raise
     except CalibrationError as error:
         raise BoardsNotFound(str(error), both) from None
     o.progress("solve", 1, 2)
@@ -302,9 +295,8 @@ def calibrate_from_boards(
     rig, boards = place_on_floor(fit.rig, fit.boards, board, frame)
     fit = replace(fit, rig=rig, boards=boards)
     o.progress("solve", 2, 2)
-    notes = [*fit.notes, said] if said else list(fit.notes)
     warnings = _warnings(fit, lenses, lens_views or views)
-    return BoardCalibration(rig, views, lens_views, fit, lenses, tuple(notes), tuple(warnings))
+    return BoardCalibration(rig, views, lens_views, fit, lenses, (*fit.notes, said), tuple(warnings))
 
 
 def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[CameraViews, ...]) -> None:

@@ -36,7 +36,7 @@ from hypose.calibration.two_views import (
     start_rig,
 )
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.errors import CalibrationError
+from hypose.errors import CalibrationError, refuse
 from hypose.evidence.keypoints import landmark_of
 from hypose.geometry import Array, frame_of, se3, skew, unit
 from hypose.tracking.subject import shape_from_keypoints
@@ -238,8 +238,7 @@ class _Search:
         velocity = np.where(both, (after - before)[..., :2] / (2 * _STEP), 0.0)
         moment, kind = np.divmod(np.flatnonzero(keep), len(self.names))
         limbs = [next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in self.names]
-        labels = np.stack([moment, kind, np.array(limbs)[kind]], 1)
-        sds = uncertainty(bundle, points[keep], velocity, labels)
+        sds = uncertainty(bundle, points[keep], velocity, np.stack([moment, kind, np.array(limbs)[kind]], 1))
         known = zip(new, self.lenses, strict=True)
         new = new if free else CameraRig(tuple(replace(c, distortion=d.distortion) for c, d in known))
         return new, points.reshape(len(frames), -1, 3), found.median_px, sds
@@ -262,28 +261,21 @@ class _Search:
         rays = unit(middle - rig.positions)
         widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
         share, (focal, place) = median_px / (100 * self.sd), (x.argmax() for x in (sds.focal, sds.place_m))
-        for wrong, sentence in (
-            (
-                widest < _ANGLE_DEG,
-                f"All cameras look from nearly the same side (within {widest:.0f} degrees): put one of them elsewhere.",
+        faults = {
+            f"All cameras look from nearly the same side (within {widest:.0f} degrees): put one of them elsewhere": (
+                widest < _ANGLE_DEG
             ),
-            (
-                share > _RESIDUAL,
-                f"The views do not agree on one person: the median residual is {100 * share:.1f} % of the person's "
-                "size; see whether the key points are one person's in all views, and whether the cameras stood still.",
+            f"The views do not agree on one person: the median residual is {100 * share:.1f} % of the person's size; "
+            "see whether the key points are one person's in all views, and whether the cameras stood still": (
+                share > _RESIDUAL
             ),
-            (
-                sds.focal[focal] > _FOCAL_SD,
-                f"{rig.names[focal]}: the focal length stays uncertain by {100 * sds.focal[focal]:.0f} %; give focal "
-                f"lengths with --intrinsics FILE or --focal PIXELS, or {WALK}.",
+            f"{rig.names[focal]}: the focal length stays uncertain by {100 * sds.focal[focal]:.0f} %; give focal "
+            f"lengths with --intrinsics FILE or --focal PIXELS, or {WALK}": sds.focal[focal] > _FOCAL_SD,
+            f"{rig.names[place]}: its place stays uncertain by {sds.place_m[place]:.1f} m; {WALK}": (
+                sds.place_m[place] > _PLACE_SD
             ),
-            (
-                sds.place_m[place] > _PLACE_SD,
-                f"{rig.names[place]}: its place stays uncertain by {sds.place_m[place]:.1f} m; {WALK}.",
-            ),
-        ):
-            if wrong:
-                raise CalibrationError(sentence)
+        }
+        refuse("", faults, CalibrationError)
         path = np.nanmedian(points, axis=1)
         path = float(np.sqrt(np.linalg.eigvalsh(np.cov(path[np.isfinite(path).all(1)].T))[-1]))
         seconds = self.raw.shape[1] / self.frame_rate
@@ -413,8 +405,7 @@ def uncertainty(bundle: PointBundle, points: Array, velocity: Array, labels: Arr
     rest = jc - jp @ np.linalg.solve(back @ jp + 1e-3 * np.eye(3), back @ jc)  # the points are eliminated
     score = (rest.reshape(n, count, 2, -1) * r).sum(2)
     held = np.tile(np.r_[bundle.unknowns.hold, 1e-3], count)
-    weight = (jc**2).sum((0, 1)) + held
-    hessian = np.einsum("nrs,nrt->st", jc, rest, optimize=True) + np.diag(held + 1e-6 * weight)
+    hessian = np.einsum("nrs,nrt->st", jc, rest, optimize=True) + np.diag(held + 1e-6 * ((jc**2).sum((0, 1)) + held))
     moment, kind, limb = labels.T
     middle = np.zeros_like(hessian)
     for ids in (kind, limb + 4 * (moment // _BLOCK)):

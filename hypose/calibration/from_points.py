@@ -13,7 +13,7 @@ import numpy as np
 
 from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust, trial_lenses
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError, InputError
+from hypose.errors import CalibrationError, InputError, refuse
 from hypose.geometry import Array, se3
 from hypose.io.calibrations.camera_tables import UNITS, numbers
 from hypose.io.files import read_toml
@@ -72,17 +72,18 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     path = Path(path)
     document = read_toml(path, "a TOML file of scene points")
     unknown = set(document) - {"unit", "points", "clicks"}
-    if unknown:
-        raise InputError(f"{path}: {', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA].")
-    unit = document.get("unit", "m")
-    if unit not in UNITS:
-        raise InputError(f"{path}: unit must be m, cm or mm, got {unit!r}; correct it.")
+    unit, tables = document.get("unit", "m"), document.get("clicks")
+    faults = {
+        f"{', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA]": unknown,
+        f"unit must be m, cm or mm, got {unit!r}; correct it": unit not in UNITS,
+        "no clicks; add a table [clicks.CAMERA] per camera with POINT = [x, y]": (
+            not isinstance(tables, dict) or not tables
+        ),
+    }
+    refuse(f"{path}: ", faults)
     points = {n: UNITS[unit] * v for n, v in _vectors(path, "points", document.get("points"), 3).items()}
-    tables = document.get("clicks")
-    if not isinstance(tables, dict) or not tables:
-        raise InputError(f"{path}: no clicks; add a table [clicks.CAMERA] per camera with POINT = [x, y].")
     clicks, sizes = {}, {}
-    for camera, table in tables.items():
+    for camera, table in dict(tables).items():
         entries = dict(table) if isinstance(table, dict) else {}
         size = entries.pop("size", None)
         if size is not None:
@@ -158,44 +159,37 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
     pixels: (N, 2) px, their clicks.
     lens: the known lens; None where unknown.
     size: width and height of the picture, px; None where unknown.
-    Raises: CalibrationError where there are too few points, they lie in a line or plane, or the size is missing.
+    Raises: CalibrationError where there are too few points, they lie in a line or plane, the size is missing, or no
+        pose explains the clicks.
     """
-    least = _LEAST_UNKNOWN if lens is None else _LEAST_KNOWN
-    spread = np.linalg.svd(world - world.mean(0), compute_uv=False)
-    if len(world) < least:
+    least, how = (_LEAST_UNKNOWN, "without") if lens is None else (_LEAST_KNOWN, "with")
+    spread = np.append(np.linalg.svd(world - world.mean(0), compute_uv=False), [0.0, 0.0])
+    line, plane = spread[1] < 1e-3 * spread[0], lens is None and spread[2] < 0.02 * spread[0]
+    faults = {
+        f"{len(world)} points are clicked, at least {least} are needed {how} a known lens; click more, or give "
+        "--intrinsics": len(world) < least,
+        f"all its points lie in one {'line' if line else 'plane'}; measure some outside it"
+        f"{', or give its lens with --intrinsics' if lens is None else ''}": line or plane,
+        f"the size of its picture is not known; add size = [width, height] to [clicks.{name}], or give its lens with "
+        "--intrinsics": lens is None and size is None,
+    }
+    refuse(f"Camera {name}: ", faults, CalibrationError)
+    lenses = [replace(lens, name=name)] if lens else trial_lenses(name, size or (0, 0), np.geomspace(0.4, 6, 24))
+    found = [one for camera in lenses for one in _posed(camera, world, pixels)]
+    if not found:
         raise CalibrationError(
-            f"Camera {name}: {len(world)} points are clicked, at least {least} are needed "
-            f"{'without' if lens is None else 'with'} a known lens; click more, or give --intrinsics."
+            f"Camera {name}: no place of the camera explains its clicks; check that each point's name, measured place "
+            "and click belong together."
         )
-    if spread[1] < 1e-3 * spread[0] or (lens is None and spread[2] < 0.02 * spread[0]):
-        shape = "line" if spread[1] < 1e-3 * spread[0] else "plane"
-        raise CalibrationError(
-            f"Camera {name}: all its points lie in one {shape}; measure some outside it"
-            + (", or give its lens with --intrinsics." if lens is None else ".")
-        )
-    if lens is not None:
-        return _posed(replace(lens, name=name), world, pixels)[1]
-    if size is None:
-        raise CalibrationError(
-            f"Camera {name}: the size of its picture is not known; add size = [width, height] to [clicks.{name}], or "
-            "give its lens with --intrinsics."
-        )
-    tried = list[tuple[float, Camera]]()
-    for camera in trial_lenses(name, size, np.geomspace(0.4, 6, 24)):
-        with contextlib.suppress(CalibrationError):
-            tried.append(_posed(camera, world, pixels))
-    if not tried:
-        raise _impossible(name)
-    return min(tried, key=lambda t: t[0])[1]
+    return min(found, key=lambda f: f[0])[1]
 
 
-def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[float, Camera]:
-    """Find the camera pose with the smallest median error, with all points and with each point left out.
+def _posed(camera: Camera, world: Array, pixels: Array) -> list[tuple[float, Camera]]:
+    """Find camera poses with all points and with each point left out.
 
     world: (N, 3) m.
     pixels: (N, 2) px, distorted.
-    Returns: the median error, px, and the camera at that pose.
-    Raises: CalibrationError where there is no pose.
+    Returns: the median error, px, and the camera at each pose.
     Why: one wrong click distorts the whole pose.
     """
     undistorted = camera.undistort_points(pixels)
@@ -207,13 +201,4 @@ def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[float, Camera]:
             trial = replace(camera, camera_from_world=se3(cv2.Rodrigues(rvec)[0], tvec.ravel())) if ok else camera
             error = float(np.median(np.linalg.norm(trial.project(world) - pixels, axis=1)))
             found += [(error, trial)] if ok and np.isfinite(error) else []
-    if not found:
-        raise _impossible(camera.name)
-    return min(found, key=lambda f: f[0])
-
-
-def _impossible(name: str) -> CalibrationError:
-    return CalibrationError(
-        f"Camera {name}: no place of the camera explains its clicks; check that each point's name, measured place and "
-        "click belong together."
-    )
+    return found

@@ -93,8 +93,6 @@ def limb_offsets(
         bone = p[limbs[:, 1], :2] - p[limbs[:, 0], :2]
         length = np.linalg.norm(bone, axis=1)
         limb = np.flatnonzero((p[limbs, 2].min(1) > 0.4) & (length > 0.06 * size))
-        if len(limb) == 0:
-            continue
         bone, length = bone[limb], length[limb]
         normal = np.repeat(np.stack([-bone[:, 1], bone[:, 0]], 1) / length[:, None], len(_ALONG), 0)
         share = np.tile(_ALONG, len(limb))[:, None]
@@ -137,8 +135,7 @@ def _clearance(
     t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
     gap = np.linalg.norm(start[:, None] - a - np.clip(t, 0, 1)[..., None] * along, axis=-1)
     joined = (limbs[limb][:, None, :, None] == bones[None, :, None, :]).any((2, 3))
-    unseen = p[bones, 2].min(1) < 0.2
-    return np.where(joined | unseen, np.inf, gap).min(1)
+    return np.where(joined | (p[bones, 2].min(1) < 0.2), np.inf, gap).min(1)
 
 
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
@@ -167,8 +164,7 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
     inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
     on = np.zeros(at.shape[:2], dtype=bool)
     on[inside] = mask[at[..., 1][inside], at[..., 0][inside]] > 0
-    first_off = np.where(on.all(1), len(steps) - 1, np.argmin(on, axis=1))
-    return steps[first_off]
+    return steps[np.where(on.all(1), len(steps) - 1, np.argmin(on, axis=1))]
 
 
 def align_to_masks(
@@ -191,7 +187,10 @@ def align_to_masks(
     if not found_sizes:
         return None
     scale = 0.006 * float(np.median(found_sizes))
-    velocities = _velocities(points)
+    # central differences over four frames; NaN where a neighbour is missing
+    n, xy = len(points), np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
+    a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
+    velocities = (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
     lag, best = 0, None
     for _ in range(5):
         found = limb_offsets(points, velocities, names, masks, lag)
@@ -219,16 +218,6 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
         if len(mine) >= 10:
             total += min(1 + float(np.std(mine, axis=0).max()) / (0.02 * size), 4.0)
     return max(total, 1.0)
-
-
-def _velocities(points: Array) -> Array:
-    """Compute velocities (T, K, 2), px per frame, by central differences over four frames; NaN where a neighbour is
-    missing.
-    """
-    n = len(points)
-    xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
-    a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
-    return (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
 
 
 def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
@@ -261,8 +250,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array]:
     # lower bound: as if every second frame gave one independent limb
     frames = max(len(np.unique(found.frame)) / 2, 1.0)
     noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
-    by_frame = np.diag(inverse) * noise * len(y) / frames
-    return x, np.sqrt(np.maximum(by_limb, by_frame))
+    return x, np.sqrt(np.maximum(by_limb, (np.diag(inverse) * noise * len(y) / frames)))
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:

@@ -72,9 +72,7 @@ def adjust_with_body(
     if not any(cues):
         raise EvidenceError("No frame has silhouettes to refine the calibration with; choose other frames.")
     problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, focal, free))
-    state = list(rig), np.array(poses, dtype=np.float64)
-    found = problem.stages(state, _COARSE, _ITERATIONS, 1e-4)
-    cameras, q = found.state
+    cameras, q = problem.stages((list(rig), np.array(poses, dtype=np.float64)), _COARSE, _ITERATIONS, 1e-4).state
     return BodyAdjustment(CameraRig(tuple(cameras)), q)
 
 

@@ -87,8 +87,7 @@ def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
     Returns: (4, 4) old_from_new.
     Why: the weights are 1 / distance, so that a camera that really moved has little influence.
     """
-    middle = np.nanmedian(points_new, axis=0)
-    reach = float(np.median(np.linalg.norm(new.positions - middle, axis=1)))
+    reach = float(np.median(np.linalg.norm(new.positions - np.nanmedian(points_new, axis=0), axis=1)))
     here, there = (
         np.concatenate([transform(se3_inverse(c.camera_from_world), reach * MARKS) for c in rig]) for rig in (new, old)
     )
@@ -107,21 +106,20 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
     points_world: (N, 3) points of the person, m.
     Returns: one per camera: rotation, displacement, focal factor, and movement of the points in the image.
     """
-    out = []
     p = points_world[np.isfinite(points_world).all(1)]
-    for a, b in zip(old, new, strict=True):
-        turn = np.degrees(np.linalg.norm(so3_log(b.camera_from_world[:3, :3] @ a.camera_from_world[:3, :3].T)))
-        shift = np.linalg.norm(a.project_pinhole(p) - b.project_pinhole(p), axis=1)
-        out.append(
-            CameraChange(
-                a.name,
-                float(turn),
-                float(np.linalg.norm(a.position - b.position)),
-                float(b.K[0, 0] / a.K[0, 0]),
-                float(np.nanmedian(shift)) if len(p) else float("nan"),
-            )
+    shifts = [
+        np.linalg.norm(a.project_pinhole(p) - b.project_pinhole(p), axis=1) for a, b in zip(old, new, strict=True)
+    ]
+    return tuple(
+        CameraChange(
+            a.name,
+            float(np.degrees(np.linalg.norm(change_from(a, b)[:3]))),
+            float(np.linalg.norm(a.position - b.position)),
+            float(b.K[0, 0] / a.K[0, 0]),
+            float(np.nanmedian(shift)) if len(p) else float("nan"),
         )
-    return tuple(out)
+        for a, b, shift in zip(old, new, shifts, strict=True)
+    )
 
 
 def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
@@ -226,8 +224,7 @@ def adjust(
     start = triangulate(rig, uv[:, keep], w[:, keep])[0]
     lost = ~np.isfinite(start).all(1)
     start[lost] = np.nanmedian(start[~lost], axis=0)
-    rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
-    found = bundle.solve((list(rig), se3(np.eye(3), start)), iterations, rule)
+    found = bundle.solve((list(rig), se3(np.eye(3), start)), iterations, Rule(damping=1e-3, least=1e-7, gain=1e-6))
     cameras, groups = found.state
     median = float(np.median(np.linalg.norm(bundle.residuals(cameras, groups), axis=1)))
     points, sd = np.full((uv.shape[1], 3), np.nan), np.zeros(len(rig))
@@ -278,7 +275,9 @@ class PointBundle(Bundle):
         return root * self.unknowns.change(index, camera), np.diag(root)
 
 
-def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
+def point_residual(
+    rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5, left_out: bool = False
+) -> Array:
     """Compute the distances between detections and the triangulation of all views.
 
     Points are triangulated from detections with a confidence above 0.3.
@@ -286,29 +285,15 @@ def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_conf
     pixels: (C, N, 2) undistorted px.
     confidence: (C, N).
     min_confidence: detections above this are judged.
+    left_out: each camera is judged by the triangulation of all other cameras.
     Returns: (C, N) px; NaN where there is none.
-    """
-    points, _ = triangulate(rig, pixels, np.where(confidence > 0.3, confidence, 0.0))
-    distance = np.stack(
-        [np.linalg.norm(c.project_pinhole(points) - p, axis=-1) for c, p in zip(rig, pixels, strict=True)]
-    )
-    return np.where(confidence > min_confidence, distance, np.nan)
-
-
-def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array) -> Array:
-    """Compute the distances between each camera's detections and the triangulation of all other cameras.
-
-    pixels: (C, N, 2) undistorted px.
-    confidence: (C, N).
-    Returns: (C, N) px; NaN where the own confidence is at most .5, or fewer than two other cameras have more than .3.
     """
     out = np.full(confidence.shape, np.nan)
     used = np.where(confidence > 0.3, confidence, 0.0)
-    for c in range(len(rig)):
-        others = [k for k in range(len(rig)) if k != c]
-        if len(others) < 2:
-            continue
-        less = CameraRig(tuple(rig[k] for k in others))
-        points, _ = triangulate(less, pixels[others], used[others])
-        out[c] = np.linalg.norm(rig[c].project_pinhole(points) - pixels[c], axis=-1)
-    return np.where(confidence > 0.5, out, np.nan)
+    by, points = list(range(len(rig))), triangulate(rig, pixels, used)[0]
+    for c, camera in enumerate(rig):
+        if left_out and len(rig) > 1:
+            by = [k for k in range(len(rig)) if k != c]
+            points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), pixels[by], used[by])
+        out[c] = np.linalg.norm(camera.project_pinhole(points) - pixels[c], axis=-1)
+    return np.where(confidence > min_confidence, out, np.nan)

@@ -151,12 +151,20 @@ def _disagreement(
     """
     out = np.full(len(shared), np.inf)
     for k, f in enumerate(shared):
-        s, (_, least) = sightings[d][f], poses[c][f][0]
-        for pose in (pose for pose, error in poses[c][f] if error <= 3 * least + 0.2):
-            uv = replace(cameras[d], camera_from_world=d_from_c @ pose).project(board.points)
-            rms = [np.sqrt(np.mean((uv[turn[s.ids]] - s.pixels) ** 2)) for turn in board.turns]
-            out[k] = np.fmin.reduce([out[k], *rms])  # NaN behind the camera
+        for pose in (pose for pose, error in poses[c][f] if error <= 3 * poses[c][f][0][1] + 0.2):
+            camera = replace(cameras[d], camera_from_world=d_from_c @ pose)
+            out[k] = min(out[k], _misfits(camera, board.points, sightings[d][f], board).min())
     return out
+
+
+def _misfits(camera: Camera, corners: Array, sighting: BoardDetection, board: Board) -> Array:
+    """Compute the error of a detection for each numbering of the board, rms, px; infinite behind the camera.
+
+    corners: (N, 3) m, of the board in the world.
+    """
+    uv = camera.project(corners)
+    rms = [np.sqrt(np.mean((uv[turn[sighting.ids]] - sighting.pixels) ** 2)) for turn in board.turns]
+    return np.nan_to_num(rms, nan=np.inf)
 
 
 def _tree(
@@ -211,10 +219,10 @@ def _tree(
     join(sorted(weighed, key=lambda w: -w[0]))
     if len(set(group)) > 1:
         parts = [[i for i in range(len(names)) if group[i] == g] for g in dict.fromkeys(group)]
-        said = " | ".join(", ".join(f"{names[i]} ({_span(sightings[i])})" for i in part) for part in parts)
+        seen = [f"{len(s)} boards, frames {min(s)} to {max(s)}" if s else "no board" for s in sightings]
+        said = " | ".join(", ".join(f"{names[i]} ({seen[i]})" for i in part) for part in parts)
         why = "they saw no board at the same time"
-        disagreeing = [k for k in links if group[k.c] != group[k.d]]
-        for k in sorted(disagreeing, key=lambda k: -k.shared)[:1]:
+        for k in sorted([k for k in links if group[k.c] != group[k.d]], key=lambda k: -k.shared)[:1]:
             why = (
                 f"{names[k.c]} and {names[k.d]} saw the board together in {k.shared} pictures but these contradict "
                 "each other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync), or "
@@ -224,10 +232,6 @@ def _tree(
             f"The cameras cannot be joined: {said}; {why}. Film the board where cameras of both parts see it."
         )
     return out
-
-
-def _span(seen: Mapping[int, BoardDetection]) -> str:
-    return f"{len(seen)} boards, frames {min(seen)} to {max(seen)}" if seen else "no board"
 
 
 def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
@@ -262,18 +266,15 @@ def _numbered(
     """
     boards: dict[int, Array] = {}
     out: _Sightings = {c: {} for c in range(len(cameras))}
-    caps = [(_CAP * camera.size[0]) ** 2 for camera in cameras]
+    caps = np.array([_CAP * camera.size[0] for camera in cameras])
     for f in sorted({f for seen in sightings for f in seen}):
         who = [c for c in range(len(cameras)) if f in sightings[c]]
         found = []
         for c, pose in ((k, pose) for k in who for pose, error in poses[k][f] if np.isfinite(error)):
             world = se3_inverse(cameras[c].camera_from_world) @ pose
-            points = transform(world, board.points)
-            errors = []
-            for d in who:
-                uv, s = cameras[d].project(points), sightings[d][f]
-                errors.append([np.nan_to_num(np.mean((uv[t[s.ids]] - s.pixels) ** 2), nan=1e6) for t in board.turns])
-            total = sum(min(min(e), caps[d]) for d, e in zip(who, errors, strict=True))
+            corners = transform(world, board.points)
+            errors = np.stack([_misfits(cameras[d], corners, sightings[d][f], board) for d in who])
+            total = (np.minimum(errors.min(1), caps[who]) ** 2).sum()
             found.append((total, world, np.argmin(errors, axis=1)))
         if found:
             _, boards[f], turns = min(found, key=lambda f: f[0])

@@ -30,7 +30,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoint_check import sizes
 from hypose.evidence.silhouettes import biggest_parts
-from hypose.geometry import Array, frame_of, skew, unit
+from hypose.geometry import Array, frame_of, interpolated, skew, unit
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -63,8 +63,7 @@ class Curves:
     def __add__(self, other: Curves) -> Curves:
         """Add the costs of both; a pair that only one of them has keeps its cost."""
         both = np.stack([self.cost, other.cost])
-        none = np.isnan(both).all(0)
-        return Curves(self.pairs, self.lags, np.where(none, np.nan, np.nansum(both, axis=0)))
+        return Curves(self.pairs, self.lags, np.where(np.isnan(both).all(0), np.nan, np.nansum(both, axis=0)))
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,7 @@ def fundamental(rig: CameraRig, a: int, b: int) -> Array:
     """Compute the fundamental matrix F (3, 3) of the pinhole cameras a and b, with x_b^T F x_a = 0."""
     ca, cb = rig[a], rig[b]
     motion = cb.camera_from_world @ np.linalg.inv(ca.camera_from_world)
-    e = skew(motion[:3, 3]) @ motion[:3, :3]
-    return np.linalg.inv(cb.K).T @ e @ np.linalg.inv(ca.K)
+    return np.linalg.inv(cb.K).T @ (skew(motion[:3, 3]) @ motion[:3, :3]) @ np.linalg.inv(ca.K)
 
 
 def point_sd(pixels: Array, confidence: Array) -> float:
@@ -116,15 +114,11 @@ def keypoint_curves(rig: CameraRig, pixels: Array, confidence: Array, largest: f
     largest: largest offset, frames.
     step: step of the offsets, frames.
     """
-    (n, frames), scale_px = pixels.shape[:2], point_sd(pixels, confidence)
-    lags = _lags(largest, frames, step)
-    margin = int(np.ceil(lags[-1])) + 1
-    seen = confidence > 0.3
+    n, scale_px, seen = len(pixels), point_sd(pixels, confidence), confidence > 0.3
+    pairs, lags, times = _grid(n, pixels.shape[1], largest, step)
     smooth = np.stack([_smoothed(p, s[..., None], _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
     splines = [_spline(s) for s in smooth]
     counts = _independent(smooth, scale_px)
-    pairs = tuple(itertools.combinations(range(n), 2))
-    times = np.arange(margin, frames - margin)
     cost = np.full((len(pairs), len(lags)), np.nan)
     later = {}
     for b in range(n):
@@ -206,23 +200,20 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
         masks = [m if m is not None and m.any() else None for m in found]
         steady = [_majority(masks, t) for t in range(len(masks))]
         edges = [() if m is None else (m[:2], m[-2:], m[:, :2], m[:, -2:]) for m in masks]
-        hulls = [np.full((1, 2), np.nan) if m is None else _hull(m) for m in masks]
+        outlines = [
+            () if m is None else cv2.findContours(m, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0] for m in masks
+        ]
+        hulls = [cv2.convexHull(np.concatenate(o))[:, 0] if o else np.full((1, 2), np.nan) for o in outlines]
         longest = max(len(hull) for hull in hulls)
         out.append(
             MaskTrack(
-                np.stack([np.pad(hull, ((0, longest - len(hull)), (0, 0)), mode="edge") for hull in hulls]),
+                np.array([np.pad(h, ((0, longest - len(h)), (0, 0)), mode="edge") for h in hulls], dtype=np.float64),
                 tuple(_changed(steady, t) for t in range(len(masks))),
                 np.array([0.0 if m is None else m.sum() for m in masks]),
                 np.array([any(edge.any() for edge in four) for four in edges]),
             )
         )
     return out
-
-
-def _hull(mask: NDArray[np.uint8]) -> Array:
-    """Compute the convex hull (n, 2), px, of a mask."""
-    points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
 
 
 def _changed(masks: Sequence[NDArray[np.uint8] | None], t: int) -> Array | None:
@@ -239,8 +230,7 @@ def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.u
     near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
     if masks[t] is None or len(near) < 3 or any(m is None for m in near):
         return masks[t]
-    total = np.sum([m for m in near if m is not None], axis=0)
-    return np.asarray(total >= 2, dtype=np.uint8)
+    return np.asarray(np.sum([m for m in near if m is not None], axis=0) >= 2, dtype=np.uint8)
 
 
 def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) -> tuple[Array, Array]:
@@ -269,11 +259,8 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
     tracks: mask track of each view.
     largest: largest offset, frames.
     """
-    frames, scale_px = len(tracks[0].area), max(float(np.median([t.size for t in tracks])) / 130, 0.5)
-    lags = _lags(largest, frames)
-    margin = int(np.ceil(lags[-1])) + 1
-    pairs = tuple(itertools.combinations(range(len(tracks)), 2))
-    times = np.arange(margin, frames - margin)
+    scale_px = max(float(np.median([t.size for t in tracks])) / 130, 0.5)
+    pairs, lags, times = _grid(len(tracks), len(tracks[0].area), largest)
     cost = np.full((len(pairs), len(lags)), np.nan)
     for p, (a, b) in enumerate(pairs):
         planes, px = tangent_planes(rig, tracks, a, b)
@@ -319,9 +306,7 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
         raise EvidenceError(
             "No two views see the person move at the same time; give a longer range of frames, or offsets by hand."
         )
-    from scipy.interpolate import CubicSpline  # takes long to import
-
-    splines = {curves.pairs[p]: CubicSpline(lags, curves.cost[p] - curves.cost[p].min()) for p in known}
+    splines = {curves.pairs[p]: _spline(curves.cost[p] - curves.cost[p].min(), lags) for p in known}
     low, high = lags[0], lags[-1]
 
     def total(x: Array) -> float:
@@ -434,35 +419,35 @@ def offsets_within(largest: float, frames: int) -> float:
     return min(float(largest), (frames - 12) / 3)
 
 
-def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
+def _grid(
+    views: int, frames: int, largest: float, step: float = _STEP
+) -> tuple[tuple[tuple[int, int], ...], Array, NDArray[np.int64]]:
+    """List the pairs of views, the offsets (L,) that are tried, and the frames of the first view that have a partner in
+    the second view at all of them; EvidenceError for too few frames.
+    """
     largest = offsets_within(largest, frames)
     if largest < 1:
         raise EvidenceError(
             f"{frames} frames are too few to find how late the cameras are; at least 16 consecutive frames are needed."
         )
     count = int(largest / step)
-    return np.arange(-count, count + 1, dtype=np.float64) * step
+    margin = int(np.ceil(count * step)) + 1
+    lags = np.arange(-count, count + 1, dtype=np.float64) * step
+    return tuple(itertools.combinations(range(views), 2)), lags, np.arange(margin, frames - margin)
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
     """Smooth values (T, ...) over time where seen (of as many axes); gaps are interpolated, and values that are never
     seen are 0.
     """
-    t = np.arange(len(values))
-    flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
-    known = np.broadcast_to(seen, values.shape).reshape(len(values), -1) & np.isfinite(flat)
-    for k in range(flat.shape[1]):
-        if known[:, k].any():
-            flat[:, k] = np.interp(t, t[known[:, k]], flat[known[:, k], k])
-        else:
-            flat[:, k] = 0.0
-    return np.asarray(gaussian_filter1d(flat, sd, axis=0), dtype=np.float64).reshape(values.shape)
+    filled = np.nan_to_num(interpolated(np.where(seen, values, np.nan)))
+    return np.asarray(gaussian_filter1d(filled, sd, axis=0), dtype=np.float64)
 
 
-def _spline(values: Array) -> CubicSpline:
-    from scipy.interpolate import CubicSpline
+def _spline(values: Array, at: Array | None = None) -> CubicSpline:
+    from scipy.interpolate import CubicSpline  # takes long to import
 
-    return CubicSpline(np.arange(len(values)), values, axis=0)
+    return CubicSpline(np.arange(len(values)) if at is None else at, values, axis=0)
 
 
 def _homogeneous(x: Array) -> Array:
@@ -494,8 +479,7 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
     camera = rig[c]
     turned = np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3] @ pencil.T
     along, x, y = np.moveaxis(_homogeneous(pixels) @ turned, -1, 0)
-    sine = np.hypot(x, y)
-    return np.arctan2(y, x), camera.K[0, 0] * sine
+    return np.arctan2(y, x), camera.K[0, 0] * np.hypot(x, y)
 
 
 def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array) -> tuple[Array, Array] | None:
@@ -518,9 +502,7 @@ def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, plane
             if points is not None and tracks[c].area[t] > 0:
                 angle, _ = _angles(rig, c, points, frame) if len(points) else (np.zeros(0), None)
                 activity[t] = np.histogram(np.clip(angle, edges[0], edges[-1]), edges)[0] / tracks[c].area[t]
-        seen = np.isfinite(activity).all(1)
-        if seen.sum() < 8:
+        if np.isfinite(activity).all(1).sum() < 8:
             return None
-        t = np.arange(len(activity))
-        out.append(np.stack([np.interp(t, t[seen], np.sqrt(activity[seen, k])) for k in range(BINS)], 1))
+        out.append(interpolated(np.sqrt(activity)))
     return out[0], out[1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,17 +117,10 @@ class Resampled:
         if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
             raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")
         self.late = np.array([round(x) if abs(x - round(x)) < WHOLE else float(x) for x in late], dtype=np.float64)
-        self._kept: dict[int, Frame] = {}
+        self._get = lru_cache(4 * int(np.ceil(np.abs(self.late).max())) + 9)(source.frame)
 
     def __len__(self) -> int:
         return len(self.source)
-
-    def _get(self, index: int) -> Frame:
-        if index not in self._kept:
-            span = int(np.ceil(np.abs(self.late).max())) + 2
-            self._kept = {k: v for k, v in self._kept.items() if abs(k - index) <= 2 * span}
-            self._kept[index] = self.source.frame(index)
-        return self._kept[index]
 
     def frame(self, index: int, /) -> Frame:
         """Compute frame `index` of the common clock; a view without images at that time is not usable, with a
@@ -228,8 +222,7 @@ def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s:
     """
     prepared = [_prepared(s, n) for s, n in zip(sounds, names, strict=True)]
     first, second = np.array(list(itertools.combinations(range(len(prepared)), 2))).T
-    found = [_pair(prepared[a], prepared[b], largest_s) for a, b in zip(first, second, strict=True)]
-    late, heights = np.array(found).T
+    late, heights = np.array([_pair(prepared[a], prepared[b], largest_s) for a, b in zip(first, second, strict=True)]).T
     rows = np.eye(len(prepared))[second] - np.eye(len(prepared))[first]
     peaks = (np.abs(rows) * heights[:, None]).max(0)
     if (peaks < _LEAST_PEAK).any():

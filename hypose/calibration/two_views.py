@@ -21,7 +21,7 @@ from hypose.calibration.refine_points import adjust
 from hypose.calibration.sync_motion import Curves, coordinate_descent, sampson
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.geometry import Array, se3, so3_exp, unit
+from hypose.geometry import Array, interpolated, se3, so3_exp, unit
 
 SEEN_CONFIDENCE = 0.3  # confidence above which a key point counts
 LOOSE_PX = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
@@ -74,9 +74,7 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
             best = np.argsort(np.nan_to_num(curve, nan=np.inf))[:_COARSE]
             near = {k for o in best for k in range(o - _COARSE, o + _COARSE + 1) if 0 <= k < len(lags)}
             wanted = [k for k in near if np.isnan(curve[k])]
-        known_lags = np.isfinite(curve)
-        if known_lags.any():
-            curve[:] = np.interp(lags, lags[known_lags], curve[known_lags])
+        curve[:] = interpolated(curve)
     return Curves(pairs, lags.astype(np.float64), cost)
 
 

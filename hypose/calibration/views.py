@@ -13,9 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, likely_shown, make_detector, sheet_views
+from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, board_views, likely_shown, make_detector
 from hypose.errors import CalibrationError, InputError
-from hypose.geometry import Array
 from hypose.io.files import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
@@ -65,7 +64,6 @@ class CameraViews:
     """The results of the search for a board in the pictures of one camera.
 
     size: width and height, px.
-    n_frames: number of frames.
     looks: results by frame number (of the common time; of photos, by order).
     lag: delay of the video, frames.
     """
@@ -73,7 +71,6 @@ class CameraViews:
     name: str
     path: Path
     size: tuple[int, int]
-    n_frames: int
     looks: Mapping[int, Look]
     lag: int = 0
 
@@ -204,21 +201,20 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
             if sum(k.sighting is not None and not k.reason for k in looks.values()) >= _ENOUGH_BOARDS:
                 break
             for number in [n for n in numbers[start::every] if n not in looks]:
-                image = np.asarray(cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY), np.uint8)
+                image = np.asarray(cv2.cvtColor(reader.read(number + source.lag), cv2.COLOR_BGR2GRAY), dtype=np.uint8)
                 if not quick or likely_shown(image, board):
                     looks[number] = _examine(image, detect)
                 if quick:
                     step()
-        size, n_frames = reader.size, reader.n_frames
-    return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag)
+        size = reader.size
+    return CameraViews(source.name, source.path, size, _with_reasons(looks), source.lag)
 
 
-def _examine(picture: object, detect: Detector) -> Look:
+def _examine(gray: Gray, detect: Detector) -> Look:
     """Search for the board in one picture (h, w), and measure its sharpness and brightness.
 
     detect: detector of the board.
     """
-    gray = np.asarray(picture, dtype=np.uint8)
     small = cv2.resize(gray, (640, max(1, round(640 * gray.shape[0] / gray.shape[1]))), interpolation=cv2.INTER_AREA)
     focus = float((cv2.Laplacian(small, cv2.CV_32F) ** 2).mean())
     sighting = detect(gray)
@@ -251,24 +247,21 @@ def diagnose(views: CameraViews, board: Board) -> str:
     """
     grays = list(_spread_pictures(views.path, _TESTED))
     charuco, inverted = board.kind == "charuco", replace(board, inverted=not board.inverted)
-    others = [(inverted, _COLOURS[board.inverted])]
-    if charuco:
-        swapped, legacy = (
-            replace(board, columns=board.rows, rows=board.columns),
-            replace(board, legacy=not board.legacy),
-        )
-        others += [(swapped, "the board is found with columns and rows exchanged")]
-        others += [(legacy, "the board is found with the legacy pattern switched")]
-    for other, words in others:
+    swapped, legacy = replace(board, columns=board.rows, rows=board.columns), replace(board, legacy=not board.legacy)
+    others = (
+        (inverted, _COLOURS[board.inverted]),
+        (swapped, "the board is found with columns and rows exchanged"),
+        (legacy, "the board is found with the legacy pattern switched"),
+    )
+    for other, words in others[: 3 if charuco else 1]:
         detect = make_detector(other)
         if any(detect(g) is not None for g in grays):
             return words
-    mirrored = [np.ascontiguousarray(g[:, ::-1]) for g in grays]
     for pictures, other, words in (
         (grays, board, "its markers were seen, but not its corners: check the numbers of columns and rows"),
         (grays, inverted, _COLOURS[board.inverted]),
         (
-            mirrored,
+            [np.ascontiguousarray(g[:, ::-1]) for g in grays],
             board,
             "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off",
         ),
@@ -296,10 +289,8 @@ def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> t
     sizes = Counter[tuple[int, int]]()
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
-        scale = min(1.0, 1000 / max(gray.shape))
-        small = np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         best = (0, 0)
-        for picture in (small, *(sheet for sheet, _ in sheet_views(small, about))):
+        for picture, _ in board_views(gray, about, 1000):
             found, _, meta = cv2.findChessboardCornersSBWithMeta(picture, (3, 3), flags)
             if found and meta is not None and meta.ndim >= 2:
                 seen = (max(meta.shape[:2]), min(meta.shape[:2]))
@@ -314,20 +305,6 @@ def _markers_seen(grays: Sequence[Gray], board: Board) -> bool:
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary)))
     found = (detector.detectMarkers(255 - gray if board.inverted else gray)[1] for gray in grays)
     return any(ids is not None and len(ids) >= 4 for ids in found)
-
-
-def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
-    """Describe the position of each board in the picture.
-
-    sightings: F detected boards by frame number.
-    size: width and height, px.
-    Returns: (F, 4) centre x and y, size and slant, in units of the picture's width (slant: rad).
-    """
-    out = []
-    for s in sightings.values():
-        spread = s.pixels.std(0) / size[0]
-        out.append([*(s.pixels.mean(0) / size[0]), float(np.hypot(*spread)), float(np.arctan2(*spread))])
-    return np.array(out).reshape(-1, 4)
 
 
 # ---- counted corners -----------------------------------------------------------------------------------------------

@@ -75,7 +75,6 @@ class PreparedMasks(NamedTuple):
     norm: (C,) number of pixels of the whole person: the areas, or the expected areas where another person hides a part.
     hidden: (C, h, B) packed like the bits: ignored pixels, which give no information (the masks are 0 there); (0, 0,
         0): none.
-    open_masks: (C, h, w) the masks, and 1 at ignored pixels; the masks themselves where there are none.
     """
 
     masks: NDArray[np.uint8]
@@ -86,7 +85,6 @@ class PreparedMasks(NamedTuple):
     bits: NDArray[np.uint8]
     norm: NDArray[np.float64]
     hidden: NDArray[np.uint8]
-    open_masks: NDArray[np.uint8]
 
 
 class Standing(NamedTuple):
@@ -388,9 +386,9 @@ def prepare_masks(
     m = np.ascontiguousarray(masks)
     if m.dtype != np.uint8:
         m = (m != 0).view(np.uint8)
-    seen, hidden = m, _NO_BITS
+    hidden = _NO_BITS
     if ignored is not None:
-        m, seen, hidden = np.greater(m, ignored).view(np.uint8), m | ignored, _packed(ignored)
+        m, hidden = np.greater(m, ignored).view(np.uint8), _packed(ignored)
     areas = np.array([np.count_nonzero(view) for view in m], dtype=np.int64)
     whole = areas.astype(np.float64)
     if norm is not None:
@@ -404,7 +402,6 @@ def prepare_masks(
         _packed(m),
         whole,
         hidden,
-        seen,
     )
 
 

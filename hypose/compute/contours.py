@@ -13,7 +13,7 @@ import numpy as np
 
 from hypose.compute.arrays import NOT_KNOWN, OUTLINE_POINTS, RIM, SPACING_OF_HEIGHT
 from hypose.compute.compiled import kernel
-from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, fill_strip
+from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, sum_strip
 from hypose.compute.losses import geman_mcclure_kernel as geman_mcclure
 from hypose.compute.rows import BORDER
 
@@ -93,14 +93,6 @@ def nearest(n, u, v, number, place, low, points, found):
         if (best >> 11) >= i4(_NEXT_BAND):
             best = _nearest(u, v, number, 0, (n + 7) // 8 * 8, x, y)
         found[m] = best & 2047
-
-
-@kernel
-def _lengths(n, lines):
-    """Compute the lengths of n lines (5, E) f4 px into the last row."""
-    for e in range(n):
-        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
-        lines[4, e] = math.sqrt(dx * dx + dy * dy)
 
 
 @kernel
@@ -355,11 +347,13 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     emit_lines(n, lines, x0, y0, width, height, ws.difference)
     own, stride = ws.own, ws.difference.shape[1]
     for s in range(0, width, STRIP):
-        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # the counts are not used
+        sum_strip(ws.difference, s, stride, height, s >> 3, stride >> 3, None, None, own, None)
     for x in range(width):
         ws.difference[height, x] = 0
-    _lengths(n, lines)
     length = f4(0)
+    for e in range(n):  # a loop of its own, which is vectorised
+        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
+        lines[4, e] = math.sqrt(dx * dx + dy * dy)
     for e in range(n):
         length += lines[4, e]
     step = 2 if contours.row_spacing_px >= 2 else 1  # only every second outline point makes a forward row

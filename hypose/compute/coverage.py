@@ -38,7 +38,7 @@ from hypose.compute.simd import (
 
 f4, i1, i4, u1, u4 = np.float32, np.int8, np.int32, np.uint8, np.uint32
 NEAR = 0.05
-"""Near plane, m: what lies closer (or behind) is cut off."""
+"""Near plane, m: faces with a corner closer to the camera (or behind it) are omitted."""
 
 
 @kernel
@@ -69,9 +69,9 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
 
 
 @kernel
-def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
-    """Draw every face separately into a difference image, clipped at the near plane (NEAR, m); slow, for bodies that
-    reach this plane.
+def emit_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
+    """Draw every face separately into a difference image; slow, for bodies that reach the near plane, whose contour
+    is not closed, and for those whose crossings do not fit into the lists.
 
     vertices, faces: (V, 3) m and (F, 3).
     p: (3, 4) camera of these vertices.
@@ -80,53 +80,14 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
         each pixel.
     one_sided: False: faces seen from inside are drawn too, because the near plane opens the body.
     """
-    polygon = np.empty((4, 2), np.float32)
-    depth = np.empty(3, np.float32)
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            w = vertices[faces[f, k]]
-            depth[k] = p[2, 0] * w[0] + p[2, 1] * w[1] + p[2, 2] * w[2] + p[2, 3]
-        n = 0
-        for k in range(3):
-            m = (k + 1) % 3
-            a, b = vertices[faces[f, k]], vertices[faces[f, m]]
-            if depth[k] >= NEAR:
-                polygon[n, 0] = (p[0, 0] * a[0] + p[0, 1] * a[1] + p[0, 2] * a[2] + p[0, 3]) / depth[k]
-                polygon[n, 1] = (p[1, 0] * a[0] + p[1, 1] * a[1] + p[1, 2] * a[2] + p[1, 3]) / depth[k]
-                n += 1
-            if (depth[k] >= NEAR) != (depth[m] >= NEAR):
-                if depth[k] < depth[m]:  # one direction for both faces of an edge: the same float on both sides
-                    lo, hi, dlo, dhi = a, b, depth[k], depth[m]
-                else:
-                    lo, hi, dlo, dhi = b, a, depth[m], depth[k]
-                t = (f4(NEAR) - dlo) / (dhi - dlo)
-                x, y, z = lo[0] + t * (hi[0] - lo[0]), lo[1] + t * (hi[1] - lo[1]), lo[2] + t * (hi[2] - lo[2])
-                polygon[n, 0] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / f4(NEAR)
-                polygon[n, 1] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / f4(NEAR)
-                n += 1
-        if n < 3:
-            continue
-        area = f4(0)
-        for k in range(n):
-            m = (k + 1) % n
-            area += (polygon[k, 0] - polygon[0, 0]) * (polygon[m, 1] - polygon[0, 1])
-            area -= (polygon[m, 0] - polygon[0, 0]) * (polygon[k, 1] - polygon[0, 1])
-        if one_sided and area >= 0:
-            continue
-        sign = 1 if area < 0 else -1
-        fx, fy = f4(x0), f4(y0)
-        for k in range(n):
-            m = (k + 1) % n
-            cross_columns(
-                polygon[k, 0] - fx,
-                polygon[k, 1] - fy,
-                polygon[m, 0] - fx,
-                polygon[m, 1] - fy,
-                sign,
-                width,
-                height,
-                difference,
-            )
+    uv, z = np.empty((vertices.shape[0], 2), np.float32), np.empty(vertices.shape[0], np.float32)
+    for i in range(vertices.shape[0]):
+        w = vertices[i]
+        z[i] = p[2, 0] * w[0] + p[2, 1] * w[1] + p[2, 2] * w[2] + p[2, 3]
+        uv[i, 0] = (p[0, 0] * w[0] + p[0, 1] * w[1] + p[0, 2] * w[2] + p[0, 3]) / z[i] - f4(x0)
+        uv[i, 1] = (p[1, 0] * w[0] + p[1, 1] * w[1] + p[1, 2] * w[2] + p[1, 3]) / z[i] - f4(y0)
+    parts, images = np.zeros(faces.shape[0], np.uint8), difference.reshape(1, height + 1, difference.shape[1])
+    cover_faces(uv, z, faces, parts, one_sided, width, height, images)
 
 
 @kernel
@@ -199,18 +160,6 @@ def _row_of_views(p, at, x, y, z):
 
 
 @kernel
-def _front_views(uv, a, b, c):
-    """Test whether a triangle is clockwise in each view: bit k of the result is that of view k.
-
-    a, b, c: its vertices, rows of uv (V, 2, VIEWS) f4.
-    """
-    i, j, k = a * (2 * VIEWS), b * (2 * VIEWS), c * (2 * VIEWS)
-    ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
-    va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
-    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
-
-
-@kernel
 def project_views(vertices, projections, first, q, p, turned, uv, bounds):
     """Project vertices into VIEWS views, from view `first` on (the last view is repeated).
 
@@ -237,7 +186,10 @@ def front_views(faces, uv, front):
     front: (F,) u1 gets 1 in bit k where this is so in view k.
     """
     for f in range(faces.shape[0]):
-        front[f] = _front_views(uv, faces[f, 0], faces[f, 1], faces[f, 2])
+        i, j, k = faces[f, 0] * (2 * VIEWS), faces[f, 1] * (2 * VIEWS), faces[f, 2] * (2 * VIEWS)
+        ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
+        va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
+        front[f] = bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))  # clockwise in the picture
 
 
 @kernel
@@ -342,19 +294,6 @@ def _row_of_lanes(p, at, x, y, z):
 
 
 @kernel
-def front_lanes(u, v, a, b, c):
-    """Find the lanes in which a triangle is clockwise, so that its outside faces the camera.
-
-    u, v: (V, LANES) px.
-    a, b, c: indices of its vertices.
-    Returns: a bit per lane, that of lane l in bit l.
-    """
-    ua, ub, uc = load(u, a * LANES, LANES), load(u, b * LANES, LANES), load(u, c * LANES, LANES)
-    va, vb, vc = load(v, a * LANES, LANES), load(v, b * LANES, LANES), load(v, c * LANES, LANES)
-    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
-
-
-@kernel
 def prepare_edge(u, v, a, b, window, edge, columns):
     """Prepare the edge from vertex a to b in every lane: where it starts in the lane's window, and its slope.
 
@@ -399,54 +338,34 @@ def write_crossings(edge, lane, skip, rows, stride, out, place):
 
 
 @kernel
-def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_stride, counts):
-    """Sum STRIP columns of a difference image down the rows, set them to 0, and count the pixels that the body
+def sum_strip(difference, start, stride, rows, at, line, mask, drawn, out, counts):
+    """Sum STRIP columns of a difference image down the rows, set them to 0, and write or count the pixels that the body
     covers (positive sums).
 
-    rows, stride: number of rows, and bytes per row of the difference image.
-    mask_stride: bytes per row of mask and drawn.
     difference: i1, flat, from index start on.
-    mask, drawn: u1, packed, low bit first, from the flat index mask_start on.
-    counts: (2,) i8: the pixels with a positive sum that are not set in drawn are added, and those of them set in
-        mask.
+    rows, stride: number of rows, and bytes per row of the difference image.
+    mask, drawn, out: u1, packed, low bit first, from the flat index `at` on, `line` bytes per row.
+    drawn: pixels that are omitted; None: none.
+    out: gets the pixels; None: they are only counted.
+    counts: (2,) i8: the pixels are added, and those of them set in mask; None, with the mask: they are not counted.
     """
     zero = splat(i1(0), STRIP)
     total, model, hit = zero, 0, 0
     for k in range(rows):
-        here, at = start + k * stride, mask_start + k * mask_stride
-        total = total + load(difference, here, STRIP)
-        store(difference, here, zero)
-        inside = bits(total > zero) & ~as_word(load(drawn, at, 8))
-        model += popcount(inside)
-        hit += popcount(inside & as_word(load(mask, at, 8)))
-    counts[0] += model
-    counts[1] += hit
-
-
-@kernel
-def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
-    """Sum STRIP columns of a difference image down the rows, set them to 0, and write and count the pixels that the
-    body covers (positive sums).
-
-    rows, stride: number of rows, and bytes per row of the difference image.
-    difference: i1, flat, from index start on.
-    out: u1, packed, low bit first, from the flat index `place` on, `line` bytes per row: gets the pixels with a
-        positive sum.
-    mask: packed alike.
-    counts: (2,) i8: those pixels are added, and those of them set in mask.
-    """
-    zero = splat(i1(0), STRIP)
-    total, model, hit = zero, 0, 0
-    for k in range(rows):
-        here, at = start + k * stride, place + k * line
+        here, there = start + k * stride, at + k * line
         total = total + load(difference, here, STRIP)
         store(difference, here, zero)
         inside = bits(total > zero)
-        model += popcount(inside)
-        hit += popcount(inside & as_word(load(mask, at, 8)))
-        store(out, at, as_bytes(inside))
-    counts[0] += model
-    counts[1] += hit
+        if drawn is not None:
+            inside &= ~as_word(load(drawn, there, 8))
+        if out is not None:
+            store(out, there, as_bytes(inside))
+        if counts is not None:
+            model += popcount(inside)
+            hit += popcount(inside & as_word(load(mask, there, 8)))
+    if counts is not None:
+        counts[0] += model
+        counts[1] += hit
 
 
 @kernel
@@ -474,7 +393,10 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
     """
     full = u4(0)
     for f in range(mesh.faces.shape[0]):
-        front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
+        a, b, c = mesh.faces[f, 0] * LANES, mesh.faces[f, 1] * LANES, mesh.faces[f, 2] * LANES
+        ua, ub, uc = load(u, a, LANES), load(u, b, LANES), load(u, c, LANES)
+        va, vb, vc = load(v, a, LANES), load(v, b, LANES), load(v, c, LANES)
+        front[f] = bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))  # clockwise: its outside faces the camera
     front[mesh.faces.shape[0]] = 0  # the missing neighbour of an open edge
     n = 0
     for e in range(mesh.edges.shape[0]):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,24 +35,6 @@ def _leaf(flat, width, c, d, s, lo, hi, records, base):
             flat, width, c, d, s, lo, hi, records[n, u8(0)], records[n, u8(1)], records[n, u8(2)], records[n, u8(3)]
         )
         n = base + u8(child) + u8(0 if f < records[n, u8(4)] else 1)
-
-
-@kernel
-def _leaves(flat, width, cells, focal, clip, records, trees, out):
-    """Find the leaf that each cell (S,) of the padded picture reaches in each tree, into out (S, trees) i4.
-
-    flat, width, focal: padded picture, its width, and the focal length, px.
-    clip: clipping distance, mm.
-    records: (R, 8) i2 of all trees, one after the other, with as many records each.
-    """
-    nodes = u8(records.shape[0] // trees)
-    for i in range(cells.shape[0]):
-        c = u8(cells[i])
-        d = i4(flat[c])
-        s = f4(focal / d)
-        for t in range(trees):
-            base = u8(t) * nodes
-            out[i, t] = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base) - base
 
 
 @kernel(inline=True)
@@ -111,21 +92,9 @@ def _scan(picture, span, records, table, first, least, stride, wanted, ratio, ou
                 out[g, i, j] = a / f4(PROBABILITY * trees)
 
 
-class Packed(NamedTuple):
-    """Decision forest of nt trees of N nodes and C classes, in the memory layout for scanning pictures.
-
-    records: (nt, N, 8) int16 per node: depth test (5 numbers), index of the left child, share of class 1 in
-        ten-thousandths, 0.
-    shares: (nt, N, C) uint16, shares of all classes.
-    """
-
-    records: NDArray[np.int16]
-    shares: NDArray[np.uint16]
-
-
 def pack(
     test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
-) -> Packed:
+) -> NDArray[np.int16]:
     """Convert nt decision trees of up to N nodes to the memory layout for scanning; a node without samples counts as
     background.
 
@@ -133,27 +102,16 @@ def pack(
     left: (nt, N) left children, -1 for a leaf.
     count: (nt, N, C) samples per class.
     size: (nt,) number of nodes in use.
+    Returns: (nt, N, 8) records, one per node: depth test (5 numbers), index of the left child, share of class 1 in
+        ten-thousandths, 0.
     """
     n = int(size.max())
     number = count[:, :n].astype(np.float64)
     number[number.sum(2) == 0, 0] = 1.0
-    shares = (number / number.sum(2, keepdims=True) * PROBABILITY + 0.5).astype(np.uint16)
     records = np.zeros((len(left), n, 8), np.int16)
-    records[..., :5], records[..., 5], records[..., 6] = test[:, :n], left[:, :n], shares[..., 1]
-    return Packed(records, shares)
-
-
-def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_mm: int) -> NDArray[np.int32]:
-    """Find the leaf (S, nt) that each of S cells reaches in each of nt trees.
-
-    picture: padded depth picture.
-    cells: (S,) indices in its `flat`.
-    packed, clip_mm: forest, and the depth difference at which its tests are clipped, mm.
-    """
-    out = np.empty((len(cells), len(packed.records)), np.int32)
-    records = packed.records.reshape(-1, 8)
-    _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
-    return out
+    records[..., :5], records[..., 5] = test[:, :n], left[:, :n]
+    records[..., 6] = number[..., 1] / number.sum(2) * PROBABILITY + 0.5
+    return records
 
 
 @dataclass(frozen=True)
@@ -190,22 +148,22 @@ MOST_FORESTS = 32
 """Largest number of forests in one scan."""
 
 
-def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan) -> NDArray[np.float32]:
+def scan(
+    picture: PaddedDepth, packed: Sequence[NDArray[np.int16]], clip_mm: Sequence[int], plan: ScanPlan
+) -> NDArray[np.float32]:
     """Compute, at each cell of the scanning grid, the share of class 1 (the gesture) of several forests, mean over
     the trees.
 
     picture: padded depth picture.
-    packed, clip_mm: G forests, and the depth difference at which the tests of each are clipped, mm.
+    packed, clip_mm: records of G forests (`pack`), and the depth difference at which the tests of each are clipped, mm.
     plan: where to scan.
     Returns: (G, rows, columns), 0 where a cell was rejected. All forests share one coarse pass and one walk over the
         picture.
     """
     span = _span(picture, plan)
-    records = [p.records.reshape(-1, 8) for p in packed]
+    records = [p.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
-    table = np.array(
-        [(a, p.records.shape[1], len(p.records), c) for a, p, c in zip(starts, packed, clip_mm, strict=False)], np.int64
-    )
+    table = np.array([(a, p.shape[1], len(p), c) for a, p, c in zip(starts, packed, clip_mm, strict=False)], np.int64)
     joined = records[0] if len(records) == 1 else np.concatenate(records)
     shape = _grid_shape(picture, plan.stride)
     out, wanted = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32)

@@ -77,6 +77,14 @@ def multiply(a, b, out):
 
 
 @kernel
+def _copy(a, out):
+    """Copy a matrix (3, 3); a loop compiles much faster than a slice."""
+    for i in range(3):
+        for k in range(3):
+            out[i, k] = a[i, k]
+
+
+@kernel
 def joint_frames(q, tree, rotations, centres, twists):
     """Compute the joint frames and twists of one pose, with the root's position as the origin.
 
@@ -104,10 +112,8 @@ def frames_of(q, tree, joints, rotations, centres, twists):
     rotations, centres, twists: (J, 3, 3) world_from_joint, (J, 3) m and (D, 6), as `joint_frames` describes them;
         the rows of these joints and of their dof are filled, other rows stay as they are.
     """
-    local = np.empty((3, 3))
-    jacobian = np.empty((3, 3))
-    turned = np.empty((3, 3))
-    frame = np.empty((3, 3))
+    local, jacobian = np.empty((3, 3)), np.empty((3, 3))
+    turned, frame = np.empty((3, 3)), np.empty((3, 3))
     for m in range(joints.shape[0]):
         j = joints[m]
         a = tree.parents[j]
@@ -117,6 +123,7 @@ def frames_of(q, tree, joints, rotations, centres, twists):
                 for k in range(3):
                     frame[i, k] = 1.0 if i == k else 0.0
         else:
+            _copy(rotations[a], frame)
             dx = tree.joints[j, 0] - tree.joints[a, 0]
             dy = tree.joints[j, 1] - tree.joints[a, 1]
             dz = tree.joints[j, 2] - tree.joints[a, 2]
@@ -124,8 +131,6 @@ def frames_of(q, tree, joints, rotations, centres, twists):
                 centres[j, i] = (
                     centres[a, i] + rotations[a, i, 0] * dx + rotations[a, i, 1] * dy + rotations[a, i, 2] * dz
                 )
-                for k in range(3):
-                    frame[i, k] = rotations[a, i, k]
         first = tree.dof_start[j]
         if tree.kind[j] == BALL:
             so3_exp_and_jacobian(q[first], q[first + 1], q[first + 2], local, jacobian)
@@ -142,13 +147,9 @@ def frames_of(q, tree, joints, rotations, centres, twists):
                     twists[d, i] = frame[i, 0] * ax + frame[i, 1] * ay + frame[i, 2] * az
                 so3_exp_and_jacobian(q[d] * ax, q[d] * ay, q[d] * az, local, jacobian)
                 multiply(frame, local, rotations[j])
-                for i in range(3):
-                    for k in range(3):
-                        frame[i, k] = rotations[j, i, k]
+                _copy(rotations[j], frame)
         else:
-            for i in range(3):
-                for k in range(3):
-                    rotations[j, i, k] = frame[i, k]
+            _copy(frame, rotations[j])
         for n in range(tree.dof_count[j]):
             s = twists[first + n]
             s[3] = centres[j, 1] * s[2] - centres[j, 2] * s[1]

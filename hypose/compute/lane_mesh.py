@@ -7,7 +7,8 @@ Why the scratch memory is kept: touching the pages of new memory in every call t
 from __future__ import annotations
 
 import threading
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ class LaneMesh(NamedTuple):
     start: (V + 1,) first influence of each vertex in joint and weight.
     joint: (K,) joints of the influences.
     weight: (K,) weights of the influences.
-    needed: (J,) joints that move these vertices, and those above them.
+    needed: indices of the joints that move these vertices, and of those above them, parents first.
     one_sided: whether only front faces are drawn, also where the near plane opens the mesh.
     """
 
@@ -35,28 +36,30 @@ class LaneMesh(NamedTuple):
     start: NDArray[np.int64]
     joint: NDArray[np.int32]
     weight: NDArray[np.float32]
-    needed: NDArray[np.bool_]
+    needed: NDArray[np.int64]
     one_sided: bool
 
 
-class _Plan(NamedTuple):
-    """Layout of a mesh, kept for the next call.
-
-    edges_of, weights_of, wanted: the mesh's arrays and its faces for which it was made.
-    used: indices of the vertices in it.
-    mesh: the layout, without vertices.
-    """
-
-    edges_of: NDArray[np.int32]  # the array itself: its identity is the key
-    weights_of: NDArray[np.float32]
-    wanted: bytes | None
-    used: NDArray[np.int64]
-    mesh: LaneMesh
-
-
-_plans: list[_Plan] = []
+_Made = TypeVar("_Made")
 _lock = threading.Lock()
 _KEPT = 24  # two bodies with ten layers of parts each
+
+
+def _kept(known: list[tuple[Any, ...]], of: Any, wanted: bytes | None, make: Callable[[], _Made]) -> _Made:
+    """Return what was made before for this very array `of` and these wanted faces or joints, or make and keep it."""
+    with _lock:
+        for k, (array, key, made) in enumerate(known):
+            if array is of and key == wanted:
+                known.insert(0, known.pop(k))
+                return made
+    made = make()
+    with _lock:
+        known.insert(0, (of, wanted, made))
+        del known[_KEPT:]
+    return made
+
+
+_plans: list[tuple[Any, ...]] = []
 
 
 def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
@@ -65,25 +68,15 @@ def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] |
     Values that depend on topology and weights are kept for the next call; vertices are read again.
     """
     wanted = None if faces is None else faces.tobytes()
-    with _lock:
-        for k, plan in enumerate(_plans):
-            if plan.edges_of is mesh.edges and plan.weights_of is mesh.skin_weight and plan.wanted == wanted:
-                _plans.insert(0, _plans.pop(k))
-                return _with_vertices(plan, mesh)
-    plan = _plan(mesh, tree, faces, wanted)
-    with _lock:
-        _plans.insert(0, plan)
-        del _plans[_KEPT:]
-    return _with_vertices(plan, mesh)
+    used, made = _kept(_plans, mesh.skin_weight, wanted, lambda: _plan(mesh, tree, faces))
+    return made._replace(vertices=np.asarray(mesh.vertices.take(used, axis=0), dtype=np.float32))
 
 
-def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
-    """Complete a kept layout with the vertices of a mesh."""
-    return plan.mesh._replace(vertices=np.asarray(mesh.vertices.take(plan.used, axis=0), dtype=np.float32))
+def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> tuple[NDArray[np.int64], LaneMesh]:
+    """Make the layout of a mesh, or of its faces where faces (F,) is True.
 
-
-def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
-    """Make the layout of a mesh, or of its faces where faces (F,) is True; wanted: the faces as bytes, its key."""
+    Returns: indices of the vertices in it; the layout without vertices.
+    """
     chosen = np.ones(len(mesh.faces), dtype=bool) if faces is None else faces
     kept = mesh.faces[chosen]
     new_face = np.full(len(mesh.faces), len(kept), dtype=np.int32)
@@ -95,31 +88,19 @@ def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, w
     count = mesh.skin_count[used]
     own = np.arange(mesh.skin_index.shape[1]) < count[:, None]
     joint = np.ascontiguousarray(mesh.skin_index[used][own])
-    return _Plan(
-        mesh.edges,
-        mesh.skin_weight,
-        wanted,
-        used,
-        LaneMesh(
-            mesh.vertices[:0],
-            np.ascontiguousarray(new_vertex[kept]),
-            np.ascontiguousarray(np.concatenate([new_vertex[edges[:, :2]], new_face[edges[:, 2:]]], 1)),
-            np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
-            joint,
-            np.ascontiguousarray(mesh.skin_weight[used][own]),
-            _with_ancestors(joint, tree.parents),
-            faces is not None,
-        ),
+    needed = np.isin(np.arange(len(tree.parents)), joint)
+    for j in range(len(needed) - 1, 0, -1):
+        needed[tree.parents[j]] |= needed[j]
+    return used, LaneMesh(
+        mesh.vertices[:0],
+        np.ascontiguousarray(new_vertex[kept]),
+        np.ascontiguousarray(np.concatenate([new_vertex[edges[:, :2]], new_face[edges[:, 2:]]], 1)),
+        np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
+        joint,
+        np.ascontiguousarray(mesh.skin_weight[used][own]),
+        np.flatnonzero(needed),
+        faces is not None,
     )
-
-
-def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mark joints, given by their indices, and all above them in the tree: (J,) bool."""
-    needed = np.zeros(len(parents), dtype=bool)
-    needed[joints] = True
-    for j in range(len(parents) - 1, 0, -1):
-        needed[parents[j]] |= needed[j]
-    return needed
 
 
 class MovingParts(NamedTuple):
@@ -139,37 +120,34 @@ class MovingParts(NamedTuple):
     vertices: NDArray[np.int64]
 
 
-_moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
+_moving: list[tuple[Any, ...]] = []
 
 
 def moving_parts(mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_]) -> MovingParts:
     """Find the parts of a mesh that move when the joints `moving` (J,) turn; they are kept for the next call."""
-    wanted = moving.tobytes()
-    with _lock:
-        for index_of, key, parts in _moving:
-            if index_of is mesh.skin_index and key == wanted:
-                return parts
-    below = moving.copy()
-    for j, parent in enumerate(tree.parents):
-        below[j] |= parent >= 0 and below[parent]
-    own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
-    moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
-    vertices = np.unique(mesh.faces[moved]).astype(np.int64)
-    made = MovingParts(moved, ~moved, np.ascontiguousarray(mesh.faces[~moved]), below, vertices)
-    with _lock:
-        _moving.insert(0, (mesh.skin_index, wanted, made))
-        del _moving[_KEPT:]
-    return made
+
+    def make() -> MovingParts:
+        below = moving.copy()
+        for j, parent in enumerate(tree.parents):
+            below[j] |= parent >= 0 and below[parent]
+        own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
+        moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
+        vertices = np.unique(mesh.faces[moved]).astype(np.int64)
+        return MovingParts(moved, ~moved, np.ascontiguousarray(mesh.faces[~moved]), below, vertices)
+
+    return _kept(_moving, mesh.skin_index, moving.tobytes(), make)
 
 
 _KEPT_SCRATCH = 8  # two bodies with four limbs each
 _OWN = threading.local()
 
 
-def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
-    """Return this thread's scratch arrays for scoring a mesh on images of (rows, columns)."""
+def lane_scratch(mesh: LaneMesh, joints: int, image: tuple[int, int]) -> tuple[Any, ...]:
+    """Return this thread's scratch arrays for scoring a mesh of a body with so many joints on images of (rows,
+    columns).
+    """
     known: dict[tuple[int, ...], tuple[Any, ...]] = _OWN.__dict__.setdefault("scratch", {})
-    key = (len(mesh.needed), len(mesh.vertices), len(mesh.faces), len(mesh.edges), *image)
+    key = (joints, len(mesh.vertices), len(mesh.faces), len(mesh.edges), *image)
     if key not in known:
         if len(known) == _KEPT_SCRATCH:
             known.clear()
@@ -178,7 +156,7 @@ def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
 
 
 def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
-    """Make the scratch arrays of LANES poses: 12 for placing and projecting, 8 for drawing; the difference image is
+    """Make the scratch arrays of LANES poses: 10 for placing and projecting, 8 for drawing; the difference image is
     zero between calls.
 
     j, v, f, e: numbers of joints, vertices, faces and edges.
@@ -186,7 +164,7 @@ def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any,
     """
     f4, i4, lanes = np.float32, np.int32, LANES
     return (
-        *(np.empty((j + 1, 9, lanes)), np.empty((j, 3, lanes)), np.empty((3, lanes)), np.empty((9, lanes))),
+        *(np.empty((lanes, j, 3, 3)), np.empty((lanes, j, 3))),
         *(np.empty((j, 12, lanes), f4), np.empty((v, 3, lanes), f4), np.empty((v, lanes), f4)),
         *(np.empty((v, lanes), f4), np.empty((12, lanes), f4), np.empty((5, lanes), f4)),
         *(np.zeros((5, lanes), f4), np.zeros((lanes, 4), np.int64)),

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
-from hypose.compute.coverage import NEAR, STRIP, cover_faces, fill_strip, row_stride
+from hypose.compute.coverage import NEAR, STRIP, cover_faces, row_stride, sum_strip
 from hypose.geometry import Array, Mask
 
 Bits = NDArray[np.uint8]
@@ -155,9 +155,9 @@ def _draw_parts(uv, z, faces, part, closed, width, height, bits):
     faces, part, closed: as in `draw_parts`.
     width, height: width and height of the picture, px.
     """
-    stride, unread = row_stride(width), np.zeros(2, np.int64)
+    stride = row_stride(width)
     difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)
     cover_faces(uv, z, faces, part, closed, width, height, difference)
     for p in range(bits.shape[0]):
         for s in range(0, width, STRIP):
-            fill_strip(difference[p], s, stride, height, bits[p], bits[p], s >> 3, stride >> 3, unread)
+            sum_strip(difference[p], s, stride, height, s >> 3, stride >> 3, None, None, bits[p], None)

@@ -19,12 +19,12 @@ from hypose.compute.coverage import (
     VIEWS,
     contours_of_any,
     contours_of_view,
-    emit_clipped_faces,
+    emit_faces,
     emit_lines,
-    fill_strip,
     front_views,
     project_views,
     row_stride,
+    sum_strip,
 )
 from hypose.compute.kinematics import joint_frames, skin_about_root
 from hypose.compute.threads import over_chunks
@@ -79,13 +79,13 @@ def _draw_standing(pose, tree, mesh, faces, standing, prepared, bits, counts):
         begun = np.zeros((height + 1) * stride + aside, np.int8)
         difference = begun[aside:].reshape(height + 1, stride)
         if near:
-            emit_clipped_faces(vertices, faces, cameras[k], x0, y0, width, height, difference, True)
+            emit_faces(vertices, faces, cameras[k], x0, y0, width, height, difference, True)
         else:
             n = contours_of_view(k, n_union, union, mesh.edges, front, uv, start, end, lines)
             emit_lines(n, lines, x0, y0, width, height, difference)
         for s in range(0, aside + width, STRIP):
             place = (c * bits.shape[1] + y0) * line + ((x0 + s) >> 3)
-            fill_strip(begun, s, stride, height, prepared.bits, bits, place, line, counts[c])
+            sum_strip(begun, s, stride, height, place, line, prepared.bits, None, bits, counts[c])
 
 
 _BLOCK = 128

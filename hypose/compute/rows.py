@@ -21,7 +21,7 @@ from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import LANES
 from hypose.compute.losses import lorentzian_kernel as lorentzian
-from hypose.compute.simd import lane, load, shuffle, splat
+from hypose.compute.simd import lane, load, splat
 
 f4, u4 = np.float32, np.uint32
 BORDER = 3
@@ -309,7 +309,6 @@ def _outline_points(sdf, width, height, out):
 
 
 EIGHT = 8
-_low, _high = shuffle(range(4)), shuffle(range(4, 8))
 
 
 @kernel
@@ -378,8 +377,8 @@ def _parts(lanes, row, x, k):
 @kernel
 def _added(value):
     """Add the partial sums of a vector, in a fixed order."""
-    four = _low(value, value) + _high(value, value)
-    return (lane(four, 0) + lane(four, 1)) + (lane(four, 2) + lane(four, 3))
+    left = (lane(value, 0) + lane(value, 4)) + (lane(value, 1) + lane(value, 5))
+    return left + ((lane(value, 2) + lane(value, 6)) + (lane(value, 3) + lane(value, 7)))
 
 
 def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> tuple[NDArray[np.float32], int]:

@@ -10,26 +10,24 @@ window.
 
 from __future__ import annotations
 
-import math
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import lane_mesh, reach
-from hypose.compute.arrays import BALL, HINGES, MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
+from hypose.compute.arrays import MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import (
     LANES,
     NEAR,
     STRIP,
-    count_strip,
     draw_lists,
-    emit_clipped_faces,
+    emit_faces,
     list_crossings,
     project_vertices,
     row_stride,
+    sum_strip,
 )
+from hypose.compute.kinematics import bone_map, frames_of
 from hypose.compute.lane_mesh import lane_scratch
 from hypose.compute.simd import load, splat, store, times_plus
 from hypose.compute.threads import over_chunks
@@ -37,111 +35,6 @@ from hypose.errors import InputError, SolverError
 from hypose.geometry import Array
 
 f4 = np.float32
-
-
-@kernel
-def turn_lanes(frame, axis, e, out):
-    """Rotate LANES frames by rotation vectors, one per lane: out = frame @ exp(axis).
-
-    frame, out: (9, LANES) rotation matrices, row by row.
-    axis: (3, LANES) rad.
-    e: (9, LANES), scratch.
-    """
-    for k in range(LANES):
-        x, y, z = axis[0, k], axis[1, k], axis[2, k]
-        t2 = x * x + y * y + z * z
-        t = math.sqrt(t2)
-        if t < 1e-3:  # as in kinematics.so3_exp_and_jacobian
-            a, b = 1 - t2 / 6 + t2 * t2 / 120, 0.5 - t2 / 24 + t2 * t2 / 720
-        else:
-            h = math.sin(0.5 * t)
-            a, b = 2 * h * math.cos(0.5 * t) / t, 2 * h * h / t2
-        e[0, k] = 1 + b * (x * x - t2)
-        e[1, k] = b * x * y - a * z
-        e[2, k] = b * x * z + a * y
-        e[3, k] = b * x * y + a * z
-        e[4, k] = 1 + b * (y * y - t2)
-        e[5, k] = b * y * z - a * x
-        e[6, k] = b * x * z - a * y
-        e[7, k] = b * y * z + a * x
-        e[8, k] = 1 + b * (z * z - t2)
-    for i in range(3):
-        for j in range(3):
-            for k in range(LANES):
-                out[3 * i + j, k] = (
-                    frame[3 * i, k] * e[j, k] + frame[3 * i + 1, k] * e[3 + j, k] + frame[3 * i + 2, k] * e[6 + j, k]
-                )
-
-
-@kernel
-def copy_lanes(a, out):
-    """Copy out = a, (9, LANES); a loop compiles much faster than a slice."""
-    for i in range(9):
-        for k in range(LANES):
-            out[i, k] = a[i, k]
-
-
-@kernel
-def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
-    """Compute the affine maps by which joints carry the vertices of the model at rest, for LANES poses from index
-    `first` on (the last pose is repeated); positions are relative to each pose's root.
-
-    first: index of the first pose.
-    tree: joint tree of the body.
-    poses: (N, D) pose vectors, rad and m.
-    needed: (J,) bool, joints to compute.
-    frames, centres: (J + 1, 9, LANES) and (J, 3, LANES), kinematics in float64.
-    axis, scratch: scratch.
-    maps: (J, 12, LANES) f4 gets the rows of the (3, 4) maps.
-    """
-    last = poses.shape[0] - 1
-    spare = frames[tree.parents.shape[0]]
-    for j in range(tree.parents.shape[0]):
-        if not needed[j]:
-            continue
-        a = tree.parents[j]
-        own = frames[j]
-        if a < 0:
-            for k in range(LANES):
-                for i in range(9):
-                    own[i, k] = 1.0 if i % 4 == 0 else 0.0
-                for i in range(3):
-                    centres[j, i, k] = 0.0
-        else:
-            dx = tree.joints[j, 0] - tree.joints[a, 0]
-            dy = tree.joints[j, 1] - tree.joints[a, 1]
-            dz = tree.joints[j, 2] - tree.joints[a, 2]
-            r = frames[a]
-            for i in range(3):
-                for k in range(LANES):
-                    centres[j, i, k] = centres[a, i, k] + r[3 * i, k] * dx + r[3 * i + 1, k] * dy + r[3 * i + 2, k] * dz
-            copy_lanes(r, own)
-        turns = 0
-        if tree.kind[j] == BALL:
-            turns = 1
-        elif tree.kind[j] == HINGES:
-            turns = tree.dof_count[j]
-        for n in range(turns):
-            d = tree.dof_start[j] + n
-            ball = tree.kind[j] == BALL
-            for i in range(3):
-                if ball:
-                    column, factor = d + i, 1.0
-                else:
-                    column, factor = d, tree.axes[d, i]
-                for k in range(LANES):
-                    axis[i, k] = factor * poses[min(first + k, last), column]
-            turn_lanes(own, axis, scratch, spare)
-            copy_lanes(spare, own)
-        x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
-        for i in range(3):
-            for k in range(LANES):
-                maps[j, 4 * i, k] = own[3 * i, k]
-                maps[j, 4 * i + 1, k] = own[3 * i + 1, k]
-                maps[j, 4 * i + 2, k] = own[3 * i + 2, k]
-                maps[j, 4 * i + 3, k] = (
-                    centres[j, i, k] - own[3 * i, k] * x - own[3 * i + 1, k] * y - own[3 * i + 2, k] * z
-                )
 
 
 @kernel
@@ -173,18 +66,26 @@ def _add_row(maps, at, x, y, z, w, total):
 
 
 @kernel
-def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
-    """Skin the mesh in LANES poses at once.
+def skin_lanes(poses, first, tree, mesh, turning, rotations, centres, maps, points):
+    """Skin the mesh in LANES poses at once, from index `first` on (the last pose is repeated).
 
-    points: (V, 3, LANES) float32 gets the vertices relative to each pose's root, m.
-
+    poses: (N, D) pose vectors, rad and m.
     tree: joint tree of the body.
-    frames, centres, axis, scratch, maps: working arrays of `bone_maps`.
-    poses, first: (N, D) poses, and the first of the LANES poses.
     mesh: LaneMesh.
-    turning: (J,) joints that have moved since the last call.
+    turning: indices of the joints that have moved since the last call, parents before their children.
+    rotations, centres: (LANES, J, 3, 3) and (LANES, J, 3) joint frames of the poses, about the root; those of these
+        joints are computed.
+    maps: (J, 12, LANES) f4 rows of the (3, 4) affine maps by which joints carry the vertices at rest; likewise.
+    points: (V, 3, LANES) f4 gets the vertices relative to each pose's root, m.
     """
-    bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
+    last, twists, own = poses.shape[0] - 1, np.empty((poses.shape[1], 6)), np.empty(12, np.float32)
+    for k in range(LANES):
+        frames_of(poses[min(first + k, last)], tree, turning, rotations[k], centres[k], twists)
+        for n in range(turning.shape[0]):
+            j = turning[n]
+            bone_map(rotations[k, j], centres[k, j], tree.joints[j], own)
+            for i in range(12):
+                maps[j, i, k] = own[i]
     for i in range(points.shape[0]):
         x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
         skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
@@ -239,28 +140,6 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 
 @kernel
-def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
-    """Draw the silhouette of one of LANES poses face by face, for a pose whose contour crossings do not fit into the
-    lists.
-
-    points: (V, 3, LANES) f4 vertices about the root.
-    p: (12, LANES) f4 cameras.
-    one_sided: False: faces seen from inside are drawn too.
-    x0, y0, width, height: window in the image, px.
-    difference: (height + 1, B) difference image, changed in place; its sums down each column count the faces over
-        each pixel.
-    """
-    vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
-    for i in range(points.shape[0]):
-        for c in range(3):
-            vertices[i, c] = points[i, c, lane]
-    for r in range(3):
-        for c in range(4):
-            camera[r, c] = p[4 * r + c, lane]
-    emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, one_sided)
-
-
-@kernel
 def _silhouette_xor(
     poses,
     first,
@@ -285,21 +164,21 @@ def _silhouette_xor(
     tree, mesh: joint tree and mesh of the body, the mesh as LaneMesh.
     prepared: masks of the frame.
     box_areas: (C,) pixels of the masks in the boxes.
-    moved_joints, turning: (J,) joints to compute for the first block, and for the others.
+    moved_joints, turning: indices of the joints to compute for the first block, and for the others.
     drawn: (C, h, B) packed like the masks, pixels that belong to the body in every pose.
     drawn_counts: (C, 2) model and intersection pixels of these.
     scratch: scratch memory from `lane_mesh.lane_scratch`, for this mesh and these images.
     out: (N, C, 3) gets (xor, model, intersection) pixels.
     """
     views, image_rows, _ = prepared.masks.shape
-    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
-    front, union, edge, columns, lists, ends, difference, counts = scratch[12:]
+    rotations, centres, maps, points, u, v, p, bounds, window, origin = scratch[:10]
+    front, union, edge, columns, lists, ends, difference, counts = scratch[10:]
     mask_stride = prepared.bits.shape[2]
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
         moved = moved_joints if block == first else turning
-        skin_lanes(poses, begin, tree, mesh, moved, frames, centres, axis, turn, maps, points)
+        skin_lanes(poses, begin, tree, mesh, moved, rotations, centres, maps, points)
         for c in range(views):
             if not usable[c]:
                 continue
@@ -319,14 +198,15 @@ def _silhouette_xor(
                         plane = difference[aside : aside + (rows + 1) * stride].reshape(rows + 1, stride)
                         left, width = origin[k, 0] + aside, origin[k, 2] - aside
                         one_sided = mesh.one_sided or (near & bit) == 0
-                        draw_safely(mesh, points, p, k, one_sided, left, origin[k, 1], width, rows, plane)
+                        vertices, camera = points[:, :, k].copy(), p[:, k].copy().reshape(3, 4)
+                        emit_faces(vertices, mesh.faces, camera, left, origin[k, 1], width, rows, plane, one_sided)
                     else:
                         up, down = lists[2 * k, : ends[2 * k]], lists[2 * k + 1, : ends[2 * k + 1]]
                         draw_lists(up, down, difference)
                     corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
                     for s in range(0, origin[k, 2], STRIP):
                         place = corner + (s >> 3)
-                        count_strip(difference, s, stride, rows, prepared.bits, drawn, place, mask_stride, counts)
+                        sum_strip(difference, s, stride, rows, place, mask_stride, prepared.bits, drawn, None, counts)
                         for x in range(s, s + STRIP):
                             difference[rows * stride + x] = 0
                 model, hits = counts[0] + drawn_counts[c, 0], counts[1] + drawn_counts[c, 1]
@@ -377,11 +257,11 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
     turning, boxes, drawn_counts, scratch: the same arrays with which `_silhouette_xor` was called.
     cells: sums as filled by `uncovered`.
     """
-    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
+    rotations, centres, maps, points, u, v, p, bounds, window, origin = scratch[:10]
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        skin_lanes(poses, begin, tree, mesh, turning, frames, centres, axis, turn, maps, points)
+        skin_lanes(poses, begin, tree, mesh, turning, rotations, centres, maps, points)
         for c in range(prepared.bits.shape[0]):
             if not prepared.usable[c]:
                 continue
@@ -501,8 +381,8 @@ def silhouette_xor(
     Raises: SolverError for poses that are not finite.
 
     The counts are the same for any number of threads, and for a pose alone or among others. They are exact up to 1-2
-    pixels of a silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or
-    behind it, are cut off.
+    pixels of a silhouette whose edge passes through a pixel's centre. Faces with a corner nearer than 0.05 m to a
+    camera's plane, or behind it, are omitted.
     """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
@@ -524,21 +404,21 @@ def silhouette_xor(
     if boxes is not None:
         inside = (m[y0:y1, x0:x1] for m, (x0, x1, y0, y1) in zip(prepared.masks, b, strict=True))
         areas = np.array([np.count_nonzero(m) for m in inside], dtype=np.int64)
-    drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
+    drawn, drawn_counts = np.zeros_like(prepared.bits), np.zeros((c, 2), dtype=np.int64)
+    moved = np.ones(len(tree.parents), np.bool_)
     if turning is not None and n:
         parts = lane_mesh.moving_parts(mesh, tree, turning)
-        wanted, turned = parts.moved, parts.turning
+        wanted, moved = parts.moved, parts.turning
         drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
     elif prepared.hidden.size:
         drawn = prepared.hidden  # one more standing part, of another person: it counts nowhere
     m = lane_mesh.prepare_lanes(mesh, tree, wanted)
-    turned = m.needed if turned is None else m.needed & turned
     out = np.zeros((n, c, 3), dtype=np.int64)
 
     def score(first: int, last: int) -> None:
-        scratch = lane_scratch(m, prepared.masks.shape[1:])
+        scratch = lane_scratch(m, len(tree.parents), prepared.masks.shape[1:])
         _silhouette_xor(
-            *(q, first, last, t, m, m.needed, turned),
+            *(q, first, last, t, m, m.needed, m.needed[moved[m.needed]]),
             *(prepared, prepared.usable, b, areas, drawn, drawn_counts, scratch, out),
         )
 
@@ -575,10 +455,11 @@ def limb_energies(
     drawn, drawn_counts = rest or reach.standing(q[-1], tree, mesh, prepared, turning)
     parts = lane_mesh.moving_parts(mesh, tree, turning)
     m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
-    scratch = lane_scratch(m, prepared.masks.shape[1:])
+    scratch = lane_scratch(m, len(tree.parents), prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
     counts, decided = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
-    given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
+    turned, boxes = m.needed[parts.turning[m.needed]], reach.whole_images(prepared)
+    given = tidy(tree), m, turned, prepared, boxes, drawn, drawn_counts
     _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, decided)
     return np.where(decided, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
 
@@ -593,9 +474,3 @@ def _finite(poses: ArrayLike) -> Array:
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
         raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
     return q
-
-
-@lru_cache(4)
-def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Make the drawing (C, h, B) of no standing parts; it is shared and must not be changed."""
-    return np.zeros(shape, dtype=np.uint8)

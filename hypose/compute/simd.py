@@ -221,19 +221,6 @@ def cast(typingctx: Any, x, dtype):
     return kind(x, dtype), code
 
 
-def shuffle(order: Sequence[int]) -> Any:
-    """Make a function of two vectors x and y that returns the vector of the listed elements.
-
-    order: index of each element of the result; indices from the length of x on select elements of y.
-    """
-
-    def shuffled(typingctx: Any, x, y):
-        lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))
-        return Vec(x.dtype, len(order))(x, y), lambda c, b, sig, args: b.shuffle_vector(*args, lanes)
-
-    return intrinsic(shuffled)
-
-
 def _call(builder: Any, name: str, args: Sequence[Any]) -> Any:
     """Write the call of an LLVM intrinsic of float32 vectors."""
     kind = args[0].type

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from hypose.compute.arrays import (
     DepthArrays,
     DepthTerm,
     MeshArrays,
+    PreparedMasks,
     PriorArrays,
     SolveSettings,
     Standing,
@@ -57,8 +57,8 @@ _PROGRAM = (
 )
 
 
-def _toy() -> tuple[TreeArrays, MeshArrays, np.ndarray, np.ndarray]:
-    """Make a body of one ball joint and a tetrahedron, its pose (6,), and a pinhole (1, 3, 4) that sees it."""
+def _toy() -> tuple[TreeArrays, MeshArrays, np.ndarray, PreparedMasks]:
+    """Make a body of one ball joint and a tetrahedron, its pose (6,), and a pinhole's mask (32, 32) of a square."""
     tree = TreeArrays(
         np.array([-1, 0]),
         np.array([BALL, FIXED]),
@@ -76,32 +76,18 @@ def _toy() -> tuple[TreeArrays, MeshArrays, np.ndarray, np.ndarray]:
         np.tile(np.float32([1, 0, 0, 0]), (4, 1)),
         np.ones(4, dtype=np.int32),
     )
-    return tree, mesh, np.array([0.0, 0, 4, 0, 0, 0]), np.array([[[40.0, 0, 16, 0], [0, 40, 16, 0], [0, 0, 1, 0]]])
-
-
-def _mask() -> tuple[np.ndarray, np.ndarray]:
-    """Make a mask (1, 32, 32) of a square, and its size (1, 2)."""
-    mask = np.zeros((1, 32, 32), dtype=np.uint8)
+    mask, pinhole = np.zeros((1, 32, 32), dtype=np.uint8), np.array([[[40.0, 0, 16, 0], [0, 40, 16, 0], [0, 0, 1, 0]]])
     mask[:, 8:24, 8:24] = 1
-    return mask, np.array([[32, 32]])
+    return tree, mesh, np.array([0.0, 0, 4, 0, 0, 0]), prepare_masks(mask, np.array([True]), [[32, 32]], pinhole)
 
 
 def _scorer() -> None:
-    """Call the scorers of silhouettes."""
-    tree, mesh, q, projection = _toy()
-    mask, sizes = _mask()
+    """Call the scorers of silhouettes and of points."""
+    tree, mesh, q, prepared = _toy()
     skin(*forward_kinematics(q[None], tree), tree, mesh)
-    prepared = prepare_masks(mask, np.array([True]), sizes, projection)
     limb = np.array([False, True])
     silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
     limb_energies(np.repeat(q[None], 40, 0), tree, mesh, prepared, limb)
-
-
-def _points() -> None:
-    """Call the scorer of points."""
-    _, _, q, projection = _toy()
-    mask, sizes = _mask()
-    prepared = prepare_masks(mask, np.array([True]), sizes, projection)
     rest = Standing(np.zeros_like(prepared.bits), np.zeros((1, 2), dtype=np.int64))
     reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
 
@@ -113,36 +99,24 @@ def _outlines() -> None:
     covered(mesh.vertices[:, :2], mesh.vertices[:, 2] + 1, mesh.faces, (32, 32), closed=True)
 
 
-def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """Make a pose, and all other arguments of the solver.
-
-    depth: arrays of a depth map; None: without depth.
-    Returns: pose (D,); tree, mesh, cues and priors; scratch memory.
-    """
-    tree, mesh, q, projection = _toy()
-    mask, sizes = _mask()
-    sdf = np.zeros(mask.shape, dtype=np.float32)
-    outline = np.zeros((1, 16, 2), dtype=np.float32)
-    given = sdf, outline, np.array([True]), sizes, projection, 1.0, 2.0, 4.0, 2.0, 16, 30.0
-    contours = ContourTerm(*given, np.ones(1), 0 * sizes, sizes)
+def _solver(depth: DepthArrays | None = None) -> None:
+    """Call the solver, with the arrays of a depth map or without depth."""
+    tree, mesh, q, seen = _toy()
+    sdf = np.zeros(seen.masks.shape, dtype=np.float32)
+    outline, size = np.zeros((1, 16, 2), dtype=np.float32), seen.sizes
+    given = sdf, outline, seen.usable, size, seen.projections, 1.0, 2.0, 4.0, 2.0, 16, 30.0
+    contours = ContourTerm(*given, np.ones(1), 0 * size, size)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    given = (tree, mesh, Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), priors)
-    return q, given, workspace(tree, mesh, 32, 32)
-
-
-def _solver() -> None:
-    """Call the solver without depth."""
-    q, given, ws = _evidence()
-    solve(q, *given, SolveSettings(1, 0), ws)
+    cues, ws = Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), workspace(tree, mesh, 32, 32)
+    solve(q, tree, mesh, cues, priors, SolveSettings(1, 0), ws)
 
 
 def _depth() -> None:
     """Call the solver with depth of no sensor."""
     none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
-    surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
-    q, given, ws = _evidence(DepthArrays(DepthTerm(*surface), first, ring))
-    solve(q, *given, SolveSettings(1, 0), ws)
+    surface = DepthTerm(none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4)))
+    _solver(DepthArrays(surface, first, ring))
 
 
 def _monocular() -> None:
@@ -155,7 +129,7 @@ def _monocular() -> None:
 
 KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
-    "scorer": (_scorer, _points),
+    "scorer": (_scorer,),
     "outlines": (_outlines,),
     "pictures": (picture_to_mask.warm_up,),
     "monocular": (_outlines, _monocular),

@@ -104,24 +104,6 @@ def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
                         face[y, left + x] = f
 
 
-@kernel
-def _weights(u, v, inverse, faces, face, nearest, bary):
-    """Compute the perspective-correct weights bary (h, w, 2) of the second and third corner of the drawn faces.
-
-    u, v, inverse: (V,) px and 1/m of the vertices.
-    faces: (F, 3).
-    face, nearest: (h, w) drawn faces, -1 where none, and their inverse depth, 1/m.
-    """
-    for y in range(face.shape[0]):
-        for x in range(face.shape[1]):
-            f = face[y, x]
-            if f >= 0:
-                a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-                scale = 1 / (((u[b] - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (v[b] - v[a])) * nearest[y, x])
-                bary[y, x, 0] = ((x - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (y - v[a])) * scale * inverse[b]
-                bary[y, x, 1] = ((u[b] - u[a]) * (y - v[a]) - (x - u[a]) * (v[b] - v[a])) * scale * inverse[c]
-
-
 def inverse_depth(z: ArrayLike, near: float = NEAR) -> NDArray[np.float64]:
     """Compute the inverse depths (V,), 1/m, of depths z (V,), m; 0 where a depth is below `near` (m) or NaN."""
     depth = np.asarray(z, dtype=np.float64)
@@ -152,36 +134,37 @@ def draw_faces(
 
 def rasterize(
     uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], size: tuple[int, int], *, cull: bool = True
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Draw triangles with a z-buffer.
 
     uv, z: (V, 2) px and (V,) m, projected vertices and their depth along the optical axis.
     faces: (F, 3), counter-clockwise from outside.
     size: (width, height).
     cull: whether to omit faces seen from inside.
-    Returns: depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty), and bary (h, w, 2): perspective-correct
-        weights of the face's second and third corner. A triangle that reaches nearer than NEAR is omitted.
+    Returns: depth (h, w) m (inf where empty), and face_id (h, w) (-1 where empty). A triangle that reaches nearer than
+        NEAR is omitted.
     """
     w, h = size
     nearest, face = np.zeros((h, w), f4), np.full((h, w), -1, np.int32)
-    bary, inverse = np.zeros((h, w, 2), f4), inverse_depth(z)
-    draw_faces(uv, inverse, faces, nearest, face, cull=cull)
-    u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
-    _weights(u, v, inverse, plain(faces, np.int32), face, nearest, bary)
+    draw_faces(uv, inverse_depth(z), faces, nearest, face, cull=cull)
     with np.errstate(divide="ignore"):
-        return 1 / nearest, face, bary
+        return 1 / nearest, face
 
 
 def interpolate(
-    face: NDArray[np.int32], bary: NDArray[np.float32], faces: NDArray[np.int32], values: ArrayLike
+    face: NDArray[np.int32], uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], values: ArrayLike
 ) -> NDArray[np.float32]:
-    """Interpolate vertex values (V, K) at N drawn pixels.
+    """Interpolate vertex values (V, K) at the drawn pixels of a picture, with perspective.
 
-    face, bary: (N,) number of the face at each pixel, not negative, and (N, 2) weights of its second and third
-        corner, as `rasterize` returns them.
-    faces: (F, 3) vertices of each face.
-    Returns: (N, K) values at the pixels.
+    face: (h, w) number of the face at each pixel, -1 for none, as `rasterize` returns it; the other arguments are as
+        given to it.
+    Returns: (N, K) values at the N drawn pixels, row by row.
     """
-    v, corners = np.asarray(values, dtype=f4), faces[face]
-    first, second = bary[:, :1], bary[:, 1:]
-    return (1 - first - second) * v[corners[:, 0]] + first * v[corners[:, 1]] + second * v[corners[:, 2]]
+    y, x = np.nonzero(face >= 0)
+    corners, at = faces[face[y, x]], np.asarray(uv, dtype=np.float64)
+    (ua, va), (ub, vb), (uc, vc) = (at[corners[:, k]].T for k in range(3))
+    second, third = (x - ua) * (vc - va) - (uc - ua) * (y - va), (ub - ua) * (y - va) - (x - ua) * (vb - va)
+    first = (ub - ua) * (vc - va) - (uc - ua) * (vb - va) - second - third
+    share = np.stack([first, second, third], 1) / np.asarray(z, dtype=np.float64)[corners]
+    share = (share / share.sum(1, keepdims=True)).astype(f4)
+    return np.einsum("nc,nck->nk", share, np.asarray(values, dtype=f4)[corners])

@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,15 +115,10 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     limit: m, at which single distances end.
     Returns: (M, M) m; NOT_COMPARABLE_M for candidates of one view, or with fewer than `least` common points.
     """
-    d = views.rays(found[..., :2], which)
-    centre = views.centres[which]
-    u, v = d[:, None], d[None]
-    n0 = u[..., 1] * v[..., 2] - u[..., 2] * v[..., 1]
-    n1 = u[..., 2] * v[..., 0] - u[..., 0] * v[..., 2]
-    n2 = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-    size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-    w = (centre[None, :] - centre[:, None])[:, :, None]
-    along = np.abs(n0 * w[..., 0] + n1 * w[..., 1] + n2 * w[..., 2])
+    d, centre = views.rays(found[..., :2], which), views.centres[which]
+    normal = np.cross(d[:, None], d[None])
+    size = np.sqrt((normal * normal).sum(-1))
+    along = np.abs((normal * (centre[None, :] - centre[:, None])[:, :, None]).sum(-1))
     apart = np.where(size > _PARALLEL, along / np.maximum(size, 1e-9), 0.5 * limit)
     seen = found[..., 2] > LEAST_CONFIDENCE
     both = seen[:, None] & seen[None]
@@ -211,24 +207,6 @@ class PersonTrack:
         """Whether each view sees the person in each frame, (T, C)."""
         return (self.points[..., 2] > 0).sum(-1) >= LEAST_SEEN
 
-    @property
-    def agreed(self) -> float:
-        """Share of the points shown by two or more views whose rays meet.
-
-        It is low for a track made of several people's detections, or where views are exchanged.
-        """
-        shown = (self.points[..., 2] > 0).sum(1) >= 2
-        return float((shown & np.isfinite(self.world[..., 0])).sum() / max(int(shown.sum()), 1))
-
-    @property
-    def height_px(self) -> float:
-        """Median over frames and views of the person's height in the picture, px."""
-        shown = self.points[..., 2] > 0
-        high = np.where(shown, self.points[..., 1], -np.inf).max(-1) - np.where(shown, self.points[..., 1], np.inf).min(
-            -1
-        )
-        return float(np.median(high[self.seen])) if self.seen.any() else 0.0
-
     def place(self, frame: int) -> Array:
         """Compute the person's middle (3,), m, at a frame of the clip; NaN where unknown."""
         at = frame - self.first
@@ -246,9 +224,15 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
     """
     if not tracks:
         return None
-    seen = np.array([t.seen.sum() * t.agreed for t in tracks])
-    large = np.array([t.height_px for t in tracks])
-    return int(np.where(seen >= 0.85 * seen.max(), large, -1.0).argmax())
+    often, large = np.zeros(len(tracks)), np.zeros(len(tracks))
+    for k, t in enumerate(tracks):
+        shown, by_two = t.points[..., 2] > 0, (t.points[..., 2] > 0).sum(1) >= 2
+        # many rays do not meet in a track made of several people's detections, or where views are exchanged
+        agreed = (by_two & np.isfinite(t.world[..., 0])).sum() / max(int(by_two.sum()), 1)
+        often[k] = t.seen.sum() * agreed
+        rows = np.where(shown, t.points[..., 1], np.nan)[t.seen]
+        large[k] = np.median(np.nanmax(rows, -1) - np.nanmin(rows, -1)) if len(rows) else 0.0  # px
+    return int(np.where(often >= 0.85 * often.max(), large, -1.0).argmax())
 
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
@@ -260,40 +244,28 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
     Two tracks are joined where the bones have the same lengths, the place can be reached in the gap, and no other
     person fits.
     """
-    left = sorted(tracks, key=lambda t: t.first)
-    sizes = [_bones(t, names) for t in left]
+    sizes = {id(t): _bones(t, names) for t in tracks}
 
-    def at_once(i: int, j: int) -> bool:
-        return left[i].first <= left[j].last and left[j].first <= left[i].last
-
-    def same_body(i: int, j: int) -> bool:  # also where fewer than four bones are known of both
-        apart = np.abs(np.log(sizes[i] / sizes[j]))
-        known = np.isfinite(apart)
+    def follows(a: PersonTrack, b: PersonTrack) -> bool:
+        gap = b.first - a.last
+        reach = AssociationSettings.restart + AssociationSettings.walk * gap / frame_rate
+        if gap <= 0 or np.linalg.norm(b.place(b.first) - a.place(a.last)) > reach:
+            return False
+        apart = np.abs(np.log(sizes[id(a)] / sizes[id(b)]))
+        known = np.isfinite(apart)  # where fewer than four bones are known of both, any body may be the same
         return known.sum() < 4 or float(np.mean(apart[known])) < AssociationSettings.alike
 
-    while True:
-        fits: list[tuple[int, int, int]] = []
-        for i, a in enumerate(left):
-            for j, b in enumerate(left):
-                gap = b.first - a.last
-                if gap > 0 and same_body(i, j):
-                    reach = AssociationSettings.restart + AssociationSettings.walk * gap / frame_rate
-                    away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
-                    if not away > reach:
-                        fits.append((gap, i, j))
-        sure = [
-            (g, i, j)
-            for g, i, j in fits
-            if not any((k == i) != (m == j) and at_once(*((j, m) if k == i else (i, k))) for _, k, m in fits)
-        ]
-        if not sure:
-            return sorted(left, key=lambda t: -int(t.seen.sum()))
-        _, i, j = min(sure)
-        one = _one(left[i], left[j])
-        for n in sorted((i, j), reverse=True):
-            del left[n], sizes[n]
-        left.append(one)
-        sizes.append(_bones(one, names))
+    people: list[PersonTrack] = []
+    for b in sorted(tracks, key=lambda t: t.first):
+        before = [k for k, a in enumerate(people) if follows(a, b)]
+        rivals = [c for c in tracks if c is not b and c.first <= b.last and b.first <= c.last]
+        if len(before) == 1 and not any(follows(people[before[0]], c) for c in rivals):
+            one = _one(people.pop(before[0]), b)
+            sizes[id(one)] = _bones(one, names)
+            people.append(one)
+        else:
+            people.append(b)
+    return sorted(people, key=lambda t: -int(t.seen.sum()))
 
 
 def _bones(track: PersonTrack, names: Sequence[str]) -> Array:
@@ -316,14 +288,13 @@ def _one(a: PersonTrack, b: PersonTrack) -> PersonTrack:
 
     a, b: the earlier and the later track.
     """
-    total, start = b.last - a.first + 1, b.first - a.first
-    points = np.zeros((total, *a.points.shape[1:]))
-    world = np.full((total, *a.world.shape[1:]), np.nan)
-    candidates = np.full((total, a.candidates.shape[1]), -1)
-    for t, at in ((a, 0), (b, start)):
-        points[at : at + len(t)], world[at : at + len(t)] = t.points, t.world
-        candidates[at : at + len(t)] = t.candidates
-    return PersonTrack(a.first, points, world, candidates)
+
+    def with_gap(before: NDArray[Any], after: NDArray[Any], nothing: float) -> NDArray[Any]:
+        gap = np.full((b.first - a.last - 1, *before.shape[1:]), nothing, before.dtype)
+        return np.concatenate([before, gap, after])
+
+    points, world = with_gap(a.points, b.points, 0.0), with_gap(a.world, b.world, np.nan)
+    return PersonTrack(a.first, points, world, with_gap(a.candidates, b.candidates, -1))
 
 
 LEAST_SEEN = 4  # least key points of a candidate that is a person; fewer are parts that can complete one
@@ -630,10 +601,9 @@ class Association:
             if any(_apart(t.points, points) < o.apart for t in self._alive):
                 continue
             groups, stale = len(_GROUPS) + 1, np.where(np.isfinite(points[:, 0]), 0, self._stale + 1).astype(np.int64)
-            exchanged, votes = np.zeros((len(found), groups), dtype=np.bool_), np.zeros(groups, dtype=np.int64)
+            sides = np.zeros((len(found), groups), dtype=np.bool_), np.zeros(groups, dtype=np.int64)
             needed = 1 if len(members) > 2 else self._trial
-            start = self._frame, points, np.zeros((self._k, 3)), stale
-            self._alive.append(_Followed(*start, exchanged, votes, needed))
+            self._alive.append(_Followed(self._frame, points, np.zeros((self._k, 3)), stale, *sides, needed))
             free[view[members], number[members]] = False
             new.append(which)
         return np.array(new, dtype=np.int64).reshape(-1, len(found)).T

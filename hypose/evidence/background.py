@@ -272,8 +272,5 @@ def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
     median: (h, w, 3) grey levels.
     """
     reference = np.rint(median).astype(np.uint8)
-    out = np.empty(stack.shape[:3], np.uint8)
-    for made, picture in zip(out, stack, strict=True):
-        blue, green, red = cv2.split(cv2.absdiff(picture, reference))
-        cv2.max(cv2.max(blue, green), red, dst=made)
-    return out
+    apart = [cv2.absdiff(picture, reference).reshape(-1, 3) for picture in stack]
+    return np.reshape([cv2.reduce(a, 1, cv2.REDUCE_MAX) for a in apart], stack.shape[:3]).astype(np.uint8, copy=False)

@@ -48,18 +48,13 @@ def visibility(hull: Hull, rig: CameraRig, usable: NDArray[np.bool_] | None = No
         if not front.any():
             continue
         cell = max(1.0, 2.0 * hull.voxel * camera.K[0, 0] / float(np.median(depth[front])))
-        at = np.zeros((len(uv), 2), dtype=np.int64)
-        at[front] = np.clip(np.rint(uv[front] / cell), -1e6, 1e6).astype(np.int64)
-        low = at[front].min(0)
-        size = at[front].max(0) - low + 1
-        if size.prod() > 4_000_000:
-            continue  # points next to the camera, spread over a nearly endless image
-        key = (at[:, 1] - low[1]) * size[0] + at[:, 0] - low[0]
-        nearest = np.full(int(size.prod()), np.inf)
-        np.minimum.at(nearest, key[front], depth[front])
+        at = np.clip(np.rint(uv[front] / cell), -1e6, 1e6).astype(np.int64)
+        cells, number = np.unique(at[:, 1] * 4_000_000 + at[:, 0], return_inverse=True)
+        nearest = np.full(len(cells), np.inf)
+        np.minimum.at(nearest, number, depth[front])
         facing = -(hull.normals @ axis)
         seen = front & (facing > 0)
-        seen[seen] = depth[seen] <= nearest[key[seen]] + 3.0 * hull.voxel
+        seen[front] &= depth[front] <= nearest[number] + 3.0 * hull.voxel
         out[c, seen] = facing[seen]
     total = out.sum(0)
     return out / np.where(total > 0, total, 1.0)
@@ -103,7 +98,7 @@ class ClusterSettings:
 def likely_clusters(
     hull: Hull, probability: Array, settings: ClusterSettings = ClusterSettings(), stature: float = 1.75
 ) -> tuple[Array, Array]:
-    """Cluster the likely surface points: points within the tolerance of each other (single linkage on a kd-tree).
+    """Cluster the likely surface points: points within the tolerance of each other (single linkage).
 
     hull: visual hull with S surface points.
     settings: limits of a cluster.
@@ -112,18 +107,15 @@ def likely_clusters(
     Returns: centres (E, 3), m, and mean probabilities (E,), largest cluster first.
     Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
     """
-    from scipy.sparse import coo_matrix  # takes long to import
-    from scipy.sparse.csgraph import connected_components  # takes long to import
-    from scipy.spatial import KDTree  # takes long to import
+    from scipy.cluster.hierarchy import fcluster, linkage  # takes long to import
 
     scale = stature / 1.75
     likely = np.flatnonzero(probability >= settings.threshold)
-    if len(likely) == 0:
+    if len(likely) < 2:
         return np.zeros((0, 3)), np.zeros(0)
     points = hull.surface_points[likely]
-    pairs = KDTree(points).query_pairs(max(settings.tolerance * scale, 1.8 * hull.voxel), output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    _, label = connected_components(graph, directed=False)
+    near = max(settings.tolerance * scale, 1.8 * hull.voxel)
+    label = fcluster(linkage(points, "single"), near, "distance") - 1
     counts = np.bincount(label)
     # a rim voxel stands for the area of its face, on slanting surfaces for more
     area = counts * hull.voxel**2 / scale**2
@@ -214,7 +206,7 @@ def end_colors(
     for c in np.flatnonzero(silhouettes.usable):
         camera = silhouettes.rig[int(c)]
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        _, face, _ = rasterize(camera.project_pinhole(vertices), depth, mesh.faces, camera.size)
+        _, face = rasterize(camera.project_pinhole(vertices), depth, mesh.faces, camera.size)
         h, w = face.shape
         inner = cv2.erode(silhouettes.masks[c, :h, :w], np.ones((3, 3), np.uint8)) > 0
         picture, shown = images[c, :h, :w], inner & (face >= 0)

@@ -30,7 +30,6 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import (
     Evidence,
     KeypointTerm,
@@ -268,26 +267,20 @@ def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenD
     Returns: (C,) sensors that see the person; the reduced maps.
     """
     views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
-    maps, projections, counts = [], [], []
     used = np.flatnonzero(views)
-    step = max(1, min((depth.boxes[c][3] - depth.boxes[c][1] for c in used), default=0) // tall)
-    for c in used:
-        x0, y0, x1, y1 = depth.boxes[c]
-        every = slice(y0, y1, step), slice(x0, x1, step)
-        box = np.where(depth.person[c][every] > 0, depth.maps[c][every], 0.0)
-        p = depth.rig.projections[c].copy()
-        p[0] -= x0 * p[2]
-        p[1] -= y0 * p[2]
-        maps.append(box)
-        projections.append(shrunk(p[None], step)[0])
-        counts.append(int((box > 0).sum()))
+    boxes = np.array(depth.boxes, dtype=np.int64)[used]
+    step = max(1, min((boxes[:, 3] - boxes[:, 1]).tolist(), default=0) // tall)
+    every = [(slice(y0, y1, step), slice(x0, x1, step)) for x0, y0, x1, y1 in boxes.tolist()]
+    maps = [np.where(depth.person[c][at] > 0, depth.maps[c][at], 0.0) for c, at in zip(used, every, strict=True)]
+    projections = depth.rig.projections[used]
+    projections[:, :2] -= boxes[:, :2, None] * projections[:, 2:]
     h, w = (max((m.shape[k] for m in maps), default=1) for k in (0, 1))
     out = np.zeros((len(maps), h, w), np.float32)
     for k, m in enumerate(maps):
         out[k, : m.shape[0], : m.shape[1]] = m
     sizes = np.array([m.shape[::-1] for m in maps], dtype=np.int64).reshape(len(maps), 2)
-    stacked = np.array(projections, dtype=np.float64).reshape(len(maps), 3, 4)
-    return views, SeenDepth(out, sizes, stacked, np.array(counts, dtype=np.int64))
+    counts = np.count_nonzero(out > 0, axis=(1, 2)).astype(np.int64)
+    return views, SeenDepth(out, sizes, shrunk(projections, step), counts)
 
 
 def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidence]:
@@ -296,7 +289,7 @@ def silhouette_evidence(silhouettes: Silhouettes, weight: float) -> list[Evidenc
     Returns: list of one Evidence; an empty list where no view has an outline.
      weight: weight of a contour row.
     """
-    masks = prepared_masks(silhouettes)
+    masks = silhouettes.prepared
     try:
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
     except EvidenceError:  # masks that are foreground from border to border have no outline: no evidence either
@@ -314,15 +307,6 @@ def depth_evidence(depth: Depth) -> list[Evidence]:
         return []
     views, maps = seen_depth(depth)
     return [DepthEvidence(views, (term,), maps)]
-
-
-def keypoint_evidence(term: KeypointTerm, weaker: KeypointTerm) -> KeypointEvidence:
-    """Prepare key points for tracking.
-
-    term: the key points with their full weight, for comparing solutions.
-    weaker: the same key points with the smaller weights that solves use.
-    """
-    return KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)
 
 
 def surface_evidence(frame: Frame) -> list[Term]:
@@ -378,7 +362,7 @@ def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> li
 
 _NO_VIEWS, _NO_MASK, _NO_COUNT = np.zeros(0, np.bool_), np.zeros((0, 1, 1), np.uint8), np.zeros(0, np.int64)
 _NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
-_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0], _NO_MASK)
+_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0])
 _NO_MAPS = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, _NO_COUNT)
 NO_SILHOUETTES = SilhouetteEvidence(_NO_VIEWS, (), PreparedMasks(*_NO_MASKS))
 NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), arrays.NO_KEYPOINTS)

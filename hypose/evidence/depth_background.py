@@ -143,12 +143,15 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
     return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
 
 
-def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
+def person_before(
+    depth: DepthMap, background: DepthBackground, focal_px: float | None = None, several: bool = False
+) -> Mask:
     """Segment the person in front of the empty room: the largest thing and the parts near it, with holes filled.
 
     depth: (h, w) map, m.
     background: the empty room.
     focal_px: focal length; with it, parts too far to the side are left out, because they are another person.
+    several: segment everything in front of the room but specks, for several people.
     Returns: (h, w) 0 or 1.
     Raises: InputError where map and room differ in size.
     """
@@ -161,50 +164,28 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
     x, y, w, h = cv2.boundingRect(before)
     out = np.zeros(depth.shape, np.uint8)
     own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
-    out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0, focal_px)
+    out[own] = _things(before[own], depth[own], background.depth[own] > 0, focal_px, several)
     return out
 
 
-def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """Segment everything in front of the empty room in a depth map (h, w), m, without specks and with holes filled.
-
-    background: the empty room.
-    Returns: (h, w) 0 or 1.
-    """
-    before = _before_room(depth, background)
-    _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
-    keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
-    keep[0] = False
-    labels = np.asarray(found, dtype=np.int32)
-    return holes_filled(keep[labels].astype(np.uint8), depth, background.depth > 0)
-
-
-def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
+def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None, several: bool = False) -> Mask:
     """Segment the piece most like a person among everything that stands on the floor (z = 0), split at jumps of depth.
 
     depth: (h, w) m.
     camera: camera of the map, placed in the world (floor at z = 0).
     room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
+    several: segment everything that may be a person, or a part of one next to another.
     Returns: (h, w) 0 or 1; all 0 where nothing has a person's size.
     """
-    found = _standing(_without(depth, room), camera)
+    known = False if room is None else (room > 0) & (depth > room - _tolerance(room))
+    found = _standing(np.where(known, 0, depth).astype(np.float32), camera)
+    unknown = np.zeros(depth.shape, dtype=np.bool_)
+    if several:
+        return holes_filled(_calm(found.people()), depth, unknown)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
     if not best or not found.pieces[best].like:
         return np.zeros(depth.shape, np.uint8)
-    own = found.with_limbs([best], found.pieces)
-    return _one_thing(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_), camera.K[0, 0])
-
-
-def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """Segment everything on the floor of a depth map (h, w), m, that may be a person, or a part of one next to
-    another.
-
-    camera: camera of the map.
-    room: (h, w) distance of the room, m, 0 = unknown (`unlike_people`).
-    Returns: (h, w) 0 or 1.
-    """
-    own = _standing(_without(depth, room), camera).people()
-    return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
+    return _things(_calm(found.with_limbs([best], found.pieces)), depth, unknown, camera.K[0, 0])
 
 
 def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
@@ -235,17 +216,6 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
 def _tolerance(depth: DepthMap) -> DepthMap:
     """Compute the largest difference (h, w), m, of two values of one surface."""
     return np.asarray(np.maximum(_LEAST_M, _SDS * depth_sd(depth)), dtype=np.float32)
-
-
-def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """Set the pixels of a map to 0 that are known to be of the room.
-
-    depth: (h, w) m.
-    room: (h, w) distance of the room, m, 0 = unknown; None: the map is returned as it is.
-    """
-    if room is None:
-        return depth
-    return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -389,31 +359,32 @@ def _calm(mask: Mask) -> Mask:
     return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
 
 
-def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
+def _things(
+    before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None, several: bool = False
+) -> Mask:
     """Keep the largest thing of a mask and the parts near it in space, with holes filled.
 
     before: (h, w) 0 or 1.
     depth: (h, w) m.
-    focal_px: focal length, None: parts at any distance to the side are kept.
-    Returns: (h, w) 0 or 1; all 0 where the mask is empty or none of its pixels is measured.
     solid: (h, w) where the sensor would see something behind, so that a hole belongs to the person.
+    focal_px: focal length, None: parts at any distance to the side are kept.
+    several: keep all things but specks.
+    Returns: (h, w) 0 or 1; all 0 where the mask is empty or none of the largest thing's pixels is measured.
     """
     n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
-    if n < 2:
-        return np.zeros(depth.shape, np.uint8)
-    labels = np.asarray(found, dtype=np.int32)
-    areas, left = stats[:, cv2.CC_STAT_AREA], stats[:, cv2.CC_STAT_LEFT]
-    right = left + stats[:, cv2.CC_STAT_WIDTH]
+    labels, areas, left = np.asarray(found, dtype=np.int32), stats[:, cv2.CC_STAT_AREA], stats[:, cv2.CC_STAT_LEFT]
     areas[0] = 0
+    keep = (areas >= _LEAST_PX).astype(np.uint8)
     main = int(areas.argmax())
-    usual = middle_of_piece(labels, main, depth)
-    if np.isnan(usual):  # a speck without any measured pixel
-        return np.zeros(depth.shape, np.uint8)
-    nearby = _APART_M / usual * (np.inf if focal_px is None else focal_px)
-    keep = np.zeros(n, dtype=np.uint8)
-    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # skip the many specks to save time
-        if left[k] - right[main] > nearby or left[main] - right[k] > nearby:
-            continue
-        keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # False where all are holes
-    keep[main] = 1
+    if not several:
+        right, usual = left + stats[:, cv2.CC_STAT_WIDTH], middle_of_piece(labels, main, depth) if main else np.nan
+        nearby = _APART_M / usual * (np.inf if focal_px is None else focal_px)
+        far_aside = (left - right[main] > nearby) | (left[main] - right > nearby)
+        keep[:] = 0
+        for k in np.flatnonzero(
+            (areas >= max(12, 0.01 * areas[main])) & ~far_aside
+        ):  # skip the many specks to save time
+            # False where all are holes
+            keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8
+        keep[main] = not np.isnan(usual)  # a speck without any measured pixel is no person
     return holes_filled(keep.take(labels), depth, solid)

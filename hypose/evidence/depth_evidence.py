@@ -110,11 +110,6 @@ class Depth:
             points[own] = in_world(camera, back_projected(camera, u, v, self.maps[c, v, u]))
         return at, points
 
-    @cached_property
-    def centre(self) -> Array | None:
-        """Median (3,) of the surface points, m; None when there are none."""
-        return np.median(self.surface.points, axis=0) if len(self.surface.points) else None
-
 
 def back_projected(camera: Camera, u: ArrayLike, v: ArrayLike, z: ArrayLike) -> Array:
     """Back-project pixels (...,) at z (...,) m along the optical axis of a pinhole camera; return (..., 3), m, in its
@@ -186,25 +181,20 @@ def _plane(points: Array, rng: np.random.Generator, least: float) -> tuple[Array
 
     Returns: upward normal (3,) and offset; None where it holds fewer than `least` points.
     """
-    best: tuple[int, Array, float] | None = None
-    for _ in range(_DRAWS if len(points) > 3 else 0):
-        a, b, c = points[rng.choice(len(points), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        if length < 1e-6:
-            continue
-        normal = normal / length
-        normal = -normal if normal[1] > 0 else normal  # up: against y
-        if -normal[1] < _TILTED or normal @ a > 0:  # a plane above the sensor is the ceiling
-            continue
-        count = int((np.abs((points - a) @ normal) < _NEAR_M * (1 + points[:, 2] / 4)).sum())
-        if best is None or count > best[0]:
-            best = count, normal, float(normal @ a)
-    if best is None or best[0] < least:
+    if len(points) < 4:
         return None
-    _, normal, offset = best
+    a, b, c = points[rng.integers(len(points), size=(3, _DRAWS))]
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    normals *= np.where(normals[:, 1:2] > 0, -1.0, 1.0)  # up: against y
+    offsets, near = (normals * a).sum(1), _NEAR_M * (1 + points[:, 2] / 4)
+    possible = (-normals[:, 1] >= _TILTED) & (offsets <= 0)  # a plane above the sensor is the ceiling
+    counts = (np.abs(points @ normals.T - offsets) < near[:, None]).sum(0) * possible
+    normal, offset = normals[counts.argmax()], float(offsets[counts.argmax()])
+    if counts.max() < least or not possible.any():
+        return None
     for _ in range(5):  # refit to all points in it
-        inside = np.abs(points @ normal - offset) < _NEAR_M * (1 + points[:, 2] / 4)
+        inside = np.abs(points @ normal - offset) < near
         middle = points[inside].mean(0)
         own = np.linalg.svd(points[inside] - middle, full_matrices=False)[2][2]
         normal = own if own @ normal > 0 else -own

@@ -120,14 +120,12 @@ def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArra
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:
     """Clip the box to the picture, and enlarge it to at least _LEAST_SIDE_PX px where possible.
 
-    box: y0, y1, x0, x1, half open.
+    box: x0, x1, y0, y1, half open.
     w, h: size of the picture, px.
     """
-    out: list[int] = []
-    for low, high, size in ((box[0], box[1], w), (box[2], box[3], h)):
-        low, high = max(int(low), 0), min(int(high), size)
-        if high - low < _LEAST_SIDE_PX:
-            low = max(min((low + high - _LEAST_SIDE_PX) // 2, size - _LEAST_SIDE_PX), 0)
-            high = min(low + _LEAST_SIDE_PX, size)
-        out += [low, high]
-    return out[0], out[1], out[2], out[3]
+    size = np.array([w, h])
+    low, high = np.maximum((box[0], box[2]), 0), np.minimum((box[1], box[3]), size)
+    middle = np.clip((low + high - _LEAST_SIDE_PX) // 2, 0, np.maximum(size - _LEAST_SIDE_PX, 0))
+    low = np.where(high - low < _LEAST_SIDE_PX, middle, low)
+    (x0, y0), (x1, y1) = low.tolist(), np.minimum(np.maximum(high, low + _LEAST_SIDE_PX), size).tolist()
+    return x0, x1, y0, y1

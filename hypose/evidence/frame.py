@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute.arrays import OUTLINE_POINTS, PreparedMasks, prepare_masks
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.outlines import WORKING_HEIGHT, Outlines, ViewOutline, stack_outlines, view_outline
 from hypose.geometry import Array
 
 _Piece = TypeVar("_Piece")
@@ -22,6 +24,9 @@ MISSING_MARK = -9999.0
 """Value that loggers write for a missing coordinate; anything at or below it counts as missing."""
 FARTHEST_M = 100.0
 """m: no depth sensor sees further; larger coordinates have another unit."""
+LEAST_AREA = 200
+"""px: least area by which a view's energy is divided, for a person of whom less is expected"""
+ViewOutlines = list[ViewOutline | None]
 
 
 @dataclass(frozen=True)
@@ -59,9 +64,57 @@ class Silhouettes:
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
     owners: NDArray[np.uint8] | None = None
-    ahead: Any = field(default=None, init=False, compare=False, repr=False)
-    """results that hypose.evidence.prefetch keeps for these masks, so that they are computed once; a copy starts
-    without"""
+    _announced: list[Callable[[], ViewOutlines | None]] = field(
+        default_factory=list, init=False, compare=False, repr=False
+    )
+
+    def announce_outlines(self, views: Callable[[], ViewOutlines | None], /) -> None:
+        """Register a function that delivers the outlines of these masks, which other code is computing for tracking.
+
+        views: function that waits for the outlines and returns one per view (None for a view without one), or returns
+            None when no outlines will come.
+        """
+        self._announced.append(views)
+
+    @cached_property
+    def outlines(self) -> Outlines:
+        """Outlines of the usable views for tracking, computed once: the announced ones, or else made now."""
+        ready = [views for announced in self._announced if (views := announced()) is not None]
+        return self.outlined(OUTLINE_POINTS, WORKING_HEIGHT, *ready)
+
+    def outlined(
+        self, count: int = OUTLINE_POINTS, working_height: int | None = None, ready: ViewOutlines | None = None
+    ) -> Outlines:
+        """Compute the outlines of the usable views.
+
+        count: points per view.
+        working_height: a mask taller than this is shrunk, px; None: it is not shrunk.
+        ready: (C,) outlines that exist already; None for a view whose outline is missing.
+        """
+        made = ViewOutlines()
+        for c, (w, h) in enumerate(self.rig.sizes.tolist()):
+            view = None if ready is None or not self.usable[c] else ready[c]
+            if self.usable[c] and view is None:
+                hidden = ()
+                if self.ignored is not None and self.expected is not None and self.shared[c]:
+                    hidden = self.ignored[c, :h, :w], self.expected.boxes[c]
+                view = view_outline(self.masks[c, :h, :w], count, working_height, *hidden)
+            made.append(view)
+        return stack_outlines(made, count)
+
+    @cached_property
+    def prepared(self) -> PreparedMasks:
+        """The masks, prepared once for the silhouette scorer.
+
+        A view without foreground is not usable, so nothing is divided by zero (Alcoverro 2014 does not say this after
+        eq. 2.8).
+        """
+        norm = None
+        if self.ignored is not None and self.expected is not None:
+            norm = np.where(self.shared, np.maximum(self.expected.areas, LEAST_AREA), np.nan)
+        given = self.masks, self.usable, self.rig.sizes, self.rig.projections, self.ignored
+        made = prepare_masks(*given, norm)
+        return made._replace(usable=made.usable & (made.areas > 0))
 
     def unseen(self) -> Silhouettes:
         """Copy the masks, mark all views as not usable, and remove the person's expected place."""
@@ -193,11 +246,6 @@ class SensorJoints:
         if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
             raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
 
-    @property
-    def measured_depth(self) -> list[Array]:
-        """Depth of the sensors' depth maps at the joints: one array (K, J), m, 0 = hole; none without depth maps."""
-        return [] if self.joint_depth is None else [self.joint_depth]
-
 
 def clean_joints(
     positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
@@ -324,11 +372,6 @@ class Frame:
         "silhouettes", else "keypoints".
         """
         return next((name for name in ("depth", "silhouettes", "keypoints") if name in self.pieces), "keypoints")
-
-    @property
-    def usable_views(self) -> NDArray[np.bool_]:
-        """Views (C,) whose masks are usable; (0,) without masks."""
-        return np.zeros(0, np.bool_) if self.silhouettes is None else self.silhouettes.usable
 
     @property
     def fewest_views(self) -> int:

@@ -147,32 +147,31 @@ def visual_hull(
     given, ignored = silhouettes.informative, silhouettes.ignored
     if surely is None:
         surely = min(len(views), 3 if silhouettes.expected is None else 2)
-    sure = 0 if ignored is None else surely
     free_of = given if ignored is None else silhouettes.masks | ignored
     sums = {int(c): np.asarray(cv2.integral(free_of[c]), np.int32) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
-        free, hits, plain = (np.zeros(len(index), np.int16) for _ in range(3))
+        free, hits = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
         for k, c in enumerate(views):
             camera = silhouettes.rig[int(c)]
             empty, hit = _free_cells(camera, free_of[c], sums[int(c)], centres, edge if level else 0.0)
             free += empty
             hits += hit
-            if sure and not level:
-                plain += _free_cells(camera, given[c], sums[int(c)], centres, 0.0)[1]
             # voxels that are already excluded are not tested again
             left = len(views) - 1 - k
-            open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
-            index, centres = index[open_], centres[open_]
-            free, hits, plain = free[open_], hits[open_], plain[open_]
+            open_ = (free <= miss) & (hits + left >= min_views)
+            index, centres, free, hits = index[open_], centres[open_], free[open_], hits[open_]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
                 raise InputError(
                     f"The masks fill too much space for {voxel:g} m voxels; use larger ones or give bounds."
                 )
+    if ignored is not None:
+        plain = [_free_cells(rig[int(c)], given[c], sums[int(c)], centres, 0.0)[1] for c in views]
+        index = index[np.sum(plain, axis=0) >= surely]
     if len(index) == 0:
         raise EvidenceError(
             "The visual hull is empty: the silhouettes of the cameras "
@@ -236,25 +235,15 @@ def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
     """Compute the intersection over union (C,) of a hull, drawn in each view, and the mask of that view; NaN for
     views that are not usable.
     """
-    points, rig = hull.surface_points, silhouettes.rig
-    pictures = np.zeros(silhouettes.masks.shape, dtype=np.bool_)
-    for c, camera in enumerate(rig):
+    step = np.array([-0.5, 0.5]) * hull.voxel
+    cubes = hull.surface_points[:, None] + np.stack(np.meshgrid(step, step, step), -1).reshape(8, 3)
+    pictures = np.zeros_like(silhouettes.masks)
+    for c, camera in enumerate(silhouettes.rig):
         w, h = camera.size
-        depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        near = depth[depth > 1e-3].min(initial=np.inf)
-        if not np.isfinite(near):
-            continue
-        # samples within each cube at most one pixel apart, its faces included
-        n = int(np.clip(np.ceil(max(camera.K[0, 0], camera.K[1, 1]) * hull.voxel / near) + 1, 2, 24))
-        step = np.linspace(-0.5, 0.5, n) * hull.voxel
-        grid = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
-        if n > 2:  # the inside of a cube is hidden by its faces
-            grid = grid[(np.abs(grid) > 0.499 * hull.voxel).any(1)]
-        for offset in grid:
-            uv = camera.project_pinhole(points + offset)
-            uv = np.rint(uv[np.isfinite(uv).all(1)]).astype(np.int64)
-            uv = uv[((uv >= 0) & (uv < (w, h))).all(1)]
-            pictures[c, uv[:, 1], uv[:, 0]] = True
+        corners = camera.project_pinhole(cubes.reshape(-1, 3)).reshape(-1, 8, 2)
+        corners = np.clip(corners[np.isfinite(corners).all((1, 2))], -4 * max(w, h), 4 * max(w, h))
+        for cube in np.rint(corners).astype(np.int32):
+            cv2.fillConvexPoly(pictures[c, :h, :w], cv2.convexHull(cube), 1)
     masks = silhouettes.masks > 0
     both, either = (pictures & masks).sum((1, 2)), (pictures | masks).sum((1, 2))
     return np.where(silhouettes.usable, both / np.maximum(either, 1), np.nan)

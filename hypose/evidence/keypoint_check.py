@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -57,6 +58,11 @@ _TURNS = (
     ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
     ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
     ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
+)
+# The same of all images at once: kind, words, factor of y, cure.
+_TURNS_OF_ALL = (
+    ("mirrored", "all images are mirrored", 1.0, "mirror the videos back (ffmpeg -i IN -vf hflip OUT)"),
+    ("turned", "all images are upside down", -1.0, "turn the videos back (ffmpeg -vf hflip,vflip)"),
 )
 # Usual factors between the sizes of stored and calibrated images.
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
@@ -112,23 +118,18 @@ def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> fl
     Why: points are triangulated from the other views when these are at least two, so that a bad view does not affect
         the points by which it is judged; else from all.
     """
-    c = len(rig)
-    judged = list(views) or list(range(c))
-    others = [k for k in range(c) if k not in judged]
-    by = others if len(others) > 1 else list(range(c))
-    needed = sorted({*judged, *by})
-    uv, confidence = undistorted(CameraRig(tuple(rig[k] for k in needed)), pixels[needed])
-    at = {k: i for i, k in enumerate(needed)}
-    rows = [at[k] for k in by]
-    flat, seen = uv.reshape(len(needed), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(needed), -1)
-    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[rows], seen[rows])
-    known = np.isfinite(points).all(1)
-    out = []
-    for k in judged:
-        size = float(sizes(pixels[k : k + 1])[0])
-        use = known & (seen[at[k]] > 0)
+    every = list(range(len(rig)))
+    judged = list(views) or every
+    others = [k for k in every if k not in judged]
+    by = others if len(others) > 1 else every
+    uv, confidence = undistorted(rig, pixels)
+    flat, seen = uv.reshape(len(rig), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(rig), -1)
+    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[by], seen[by])
+    known, out = np.isfinite(points).all(1), list[float]()
+    for k, size in zip(judged, sizes(pixels[judged]).tolist(), strict=True):
+        use = known & (seen[k] > 0)
         if use.sum() > 20 and size > 0:
-            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[at[k]][use], axis=1)
+            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[k][use], axis=1)
             out.append(min(float(np.median(np.nan_to_num(distance, nan=1e6))) / size, 10.0))
     return float(np.mean(out)) if out else float("nan")
 
@@ -145,11 +146,16 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
     return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
 
 
-def triangulated(rig: CameraRig, pixels: Array) -> Array:
-    """Triangulate key points (C, T, K, 3), distorted px and confidence, to (T, K, 3), m; NaN where missing."""
+def triangulated(rig: CameraRig, pixels: Array, least_sine: float = 0.0) -> Array:
+    """Triangulate key points (C, T, K, 3), distorted px and confidence, to (T, K, 3), m; NaN where missing.
+
+    least_sine: points at which no two rays have an angle with this sine are NaN, too.
+    """
     uv, confidence = undistorted(rig, pixels)
-    seen = np.where(confidence > 0.3, confidence, 0.0).reshape(len(rig), -1)
-    return triangulate(rig, uv.reshape(len(rig), -1, 2), seen)[0].reshape(*pixels.shape[1:3], 3)
+    uv, seen = uv.reshape(len(rig), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(rig), -1)
+    world, _ = triangulate(rig, uv, seen)
+    world[widest_angle(rig, uv, seen) < least_sine] = np.nan
+    return world.reshape(*pixels.shape[1:3], 3)
 
 
 def trials(
@@ -220,13 +226,9 @@ def trials(
         words = "the videos belong to other cameras: their order is shifted by one"
         order = 'give each view its camera = "..." in recording.toml'
         yield Trial("swapped", every, words, order, rig, pixels[np.roll(np.arange(len(rig)), shift)])
-    mirror, turn = (
-        "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
-        "turn the videos back (ffmpeg -vf hflip,vflip)",
-    )
-    mirrored = moved(every, (-1.0, 1.0), turned=True, sides=True)
-    yield Trial("mirrored", every, "all images are mirrored", mirror, rig, mirrored)
-    yield Trial("turned", every, "all images are upside down", turn, rig, moved(every, (-1.0, -1.0), turned=True))
+    for kind, words, y, cure in _TURNS_OF_ALL:
+        turned_back = moved(every, (-1.0, y), turned=True, sides=kind == "mirrored")
+        yield Trial(kind, every, words, cure, rig, turned_back)
     lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
     for views in ((), *((c,) for c in lenses)) if lenses else ():
         whose = rig.names[views[0]] if views else "the calibration file"
@@ -259,12 +261,8 @@ def best_trial(
     """
     some = few(seen)
     all_before = measure(rig, some, ())
-    before: dict[tuple[int, ...], float] = {}
-    scored: list[tuple[float, float, int]] = []
-    for k, trial in enumerate(trials(rig, some)):
-        if trial.views not in before:
-            before[trial.views] = measure(rig, some, trial.views)
-        scored.append((measure(trial.rig, trial.seen, trial.views), before[trial.views], k))
+    before = cache(lambda views: measure(rig, some, views))
+    scored = [(measure(t.rig, t.seen, t.views), before(t.views), k) for k, t in enumerate(trials(rig, some))]
     # the camera with the largest disagreement is tested first, because its fault affects the others
     worst = max((b for _, b, _ in scored), default=0.0)
     order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
@@ -309,11 +307,8 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
         if trial is not None and after < min(_FINE, _BETTER * plain):
             where = f"view {rig.names[trial.views[0]]}" if len(trial.views) == 1 else "all views"
             return f"{where}: {trial.words}" if trial.kind in _MISREADINGS else None
-    uv, confidence = undistorted(rig, points)
-    uv, seen = uv.reshape(len(rig), -1, 2), np.where(confidence > _CONFIDENT, confidence, 0.0).reshape(len(rig), -1)
-    world, _ = triangulate(rig, uv, seen)
-    world[widest_angle(rig, uv, seen) < PARALLEL] = np.nan  # such as those of two cameras facing each other
-    if plain < 2 * _FINE and sides_exchanged(world.reshape(*points.shape[1:3], 3), names):
+    world = triangulated(rig, points, PARALLEL)  # not by two cameras that face each other, for example
+    if plain < 2 * _FINE and sides_exchanged(world, names):
         return "the person is mirrored: y counts upwards, or left and right are exchanged in the names"
     return None
 
@@ -327,19 +322,26 @@ def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int
     """
     rows = [[None if p is None else p[t] for p in people] for t in range(max((len(p) for p in people), default=0))]
     single = [[None if p is None or len(p) != 1 else p[0] for p in row] for row in rows]
-    usable = [row for row in single if sum(p is not None and (p[:, 2] > _CONFIDENT).sum() >= 6 for p in row) >= 2]
-    if len(usable) < 3:  # several people in all frames: the tallest, which is mostly the nearest, in all views
+    # several people in all frames: the tallest, which is mostly the nearest, in all views
+    tallest = [[None if p is None else max(p, key=person_size, default=None) for p in row] for row in rows]
+    for chosen, fewest in ((single, 2), (tallest, max(views, 3))):
+        usable = [
+            row for row in chosen if sum(p is not None and person_size(p, _CONFIDENT, 6) > 0 for p in row) >= fewest
+        ]
+        if len(usable) >= 3:
+            some = np.unique(np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int))
+            points = [[np.zeros((count, 3)) if p is None else p for p in usable[i]] for i in some]
+            return np.array(points).transpose(1, 0, 2, 3)
+    return None
 
-        def tall(p: Array) -> float:
-            seen = p[:, 2] > _CONFIDENT
-            return float(np.ptp(p[seen, 1])) if seen.sum() > 1 else 0.0
 
-        tallest = [[None if p is None else max(p, key=tall, default=None) for p in row] for row in rows]
-        usable = [row for row in tallest if sum(p is not None and tall(p) > 0 for p in row) == views]
-        if len(usable) < 3 or views < 3:
-            return None
-    chosen = [usable[i] for i in np.unique(np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int))]
-    return np.stack([np.stack([np.zeros((count, 3)) if p is None else p for p in row]) for row in chosen], 1)
+_TRUNK = ("left_shoulder", "left_hip", "right_shoulder", "right_hip")
+# Points in front of others of the same part.
+_FRONTS = (
+    (("nose",), ("left_ear", "right_ear")),
+    (("left_big_toe",), ("left_heel",)),
+    (("right_big_toe",), ("right_heel",)),
+)
 
 
 def sides_exchanged(world: Array, names: Sequence[str]) -> bool:
@@ -351,25 +353,14 @@ def sides_exchanged(world: Array, names: Sequence[str]) -> bool:
     """
     at = {n: i for i, n in enumerate(names)}
 
-    def of(*wanted: str) -> Array | None:
-        return np.mean([world[:, at[n]] for n in wanted], 0) if all(n in at for n in wanted) else None
+    def of(*wanted: str) -> Array:
+        return np.mean([world[:, at[n]] for n in wanted], 0)
 
-    left, right = of("left_hip", "left_shoulder"), of("right_hip", "right_shoulder")
-    upper, lower = of("left_shoulder", "right_shoulder"), of("left_hip", "right_hip")
-    if left is None or right is None or upper is None or lower is None:
+    if not all(n in at for n in _TRUNK):
         return False
-    forwards = np.cross(left - right, upper - lower)  # left x up
-    signs = []
-    for front, back in (
-        (("nose",), ("left_ear", "right_ear")),
-        (("left_big_toe",), ("left_heel",)),
-        (("right_big_toe",), ("right_heel",)),
-    ):
-        a, b = of(*front), of(*back)
-        if a is not None and b is not None:
-            signs.append(((a - b) * forwards).sum(-1))
-    if not signs:
-        return False
-    found = np.concatenate(signs)
+    left_to_right = of(*_TRUNK[2:]) - of(*_TRUNK[:2])
+    forwards = np.cross(of(*_TRUNK[::2]) - of(*_TRUNK[1::2]), left_to_right)  # up x right
+    known = [(front, back) for front, back in _FRONTS if all(n in at for n in (*front, *back))]
+    found = np.array([((of(*front) - of(*back)) * forwards).sum(-1) for front, back in known])
     found = found[np.isfinite(found) & (np.abs(found) > 0)]
     return len(found) >= 10 and float((found < 0).mean()) > 0.85

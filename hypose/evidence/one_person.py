@@ -8,7 +8,6 @@ how they move. So a wrong calibration can still be examined, on one person. Poin
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -47,8 +46,8 @@ class OnePerson:
 
     points: (T, C, K, 3 or more) as they were given, confidence 0 where the person is not seen.
     several: another person is present in a good part of the clip.
-    people: tracks of all people seen by two views or more, this person first.
-    by_rays: true: people were matched by rays; false: by motion.
+    people: tracks of all people seen by two views or more, this person first; none where people were matched by
+        motion instead of by rays.
     apart: views whose detections do not fit the person's place.
     notes: sentences for the user.
     """
@@ -56,7 +55,6 @@ class OnePerson:
     points: Array
     several: bool
     people: tuple[PersonTrack, ...]
-    by_rays: bool
     apart: tuple[int, ...]
     notes: tuple[str, ...]
 
@@ -81,7 +79,8 @@ def one_person(
     """
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
-    shown = np.array([[_how_many(people) > 0 for people in column] for column in columns]).T  # (T, C)
+    count = np.array([[_how_many(people) for people in column] for column in columns]).T  # (T, C)
+    shown, several = count > 0, bool((count > 1).any())
 
     @cache
     def of_view(c: int) -> list[NDArray[np.int64]]:
@@ -89,24 +88,24 @@ def one_person(
         return [t for t in found if (t >= 0).sum() >= max(3, _PART * frames)] or found[:1]
 
     width = max((p.shape[2] for column in columns for p in column if p is not None and len(p)), default=3)
-    several = max((_how_many(p) for column in columns for p in column), default=0) > 1
-    if views == 1 or (keep_misfits and not several):
-        return _by_motion(columns, of_view, names, width, ())
-    tracks = joined(people_of(candidates, names, rig, frame_rate), names, frame_rate)
-    number = choose(tracks)
-    together = int((shown.sum(1) > 1).sum())
+    points, notes, tracks = np.zeros((frames, views, len(names), width)), list[str](), list[PersonTrack]()
+    if views > 1 and (several or not keep_misfits):
+        tracks = joined(people_of(candidates, names, rig, frame_rate), names, frame_rate)
+    number, together = choose(tracks), int((shown.sum(1) > 1).sum())
     if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
-        said = ("the views' key points agree on no place of a person: people were matched by motion alone",)
-        return _by_motion(columns, of_view, names, width, said if several and together else ())
+        for c in sorted(range(views), key=lambda c: -max((int((t >= 0).sum()) for t in of_view(c)), default=0)):
+            known = points[:, (points[..., 2] > 0).any((0, 2))]
+            points[:, c] = _alike(columns[c], of_view(c), known, names)
+        if several and together:
+            notes.append("the views' key points agree on no place of a person: people were matched by motion alone")
+        return OnePerson(points, bool(notes), (), (), tuple(notes))
     person = tracks[number]
-    points = np.zeros((frames, views, len(names), width))
-    points[person.first : person.last + 1] = person.points
     there = slice(person.first, person.last + 1)
+    points[there] = person.points
     seen, offered = person.seen.sum(0), shown[there].sum(0)
     absent = (offered > _PART * frames) & (seen < _FITS * offered)
     nearby = absent if keep_misfits else absent | _passes_by(person, rig, absent)
     apart = tuple(int(c) for c in np.flatnonzero(nearby))
-    notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
     if others:
         notes.append(
@@ -115,17 +114,20 @@ def one_person(
         )
     for c in apart:
         if keep_misfits:
-            points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
+            points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, mirrored=True)
             continue
         points[:, c] = 0.0  # what fits in some frames does so by chance
         notes.append(
             f"view {rig.names[c]}: its key points show no person where the other views see the person, and are "
             "left out; if it is the same person, run hypose check, which finds what is wrong with this camera"
         )
-    strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
+    for t in tracks:
+        count[t.first : t.last + 1] -= t.candidates >= 0
+    unknown = ((count > 0).sum(0) > 2 * _PART * frames) & ~nearby
+    strangers = [name for name, one in zip(rig.names, unknown, strict=True) if one]
     if strangers and not others:
         notes.append(f"a person whom only one view sees is left out ({', '.join(strangers)})")
-    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes))
+    return OnePerson(points, bool(others or strangers), (person, *others), apart, tuple(notes))
 
 
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -161,87 +163,34 @@ def _how_many(people: Array | None) -> int:
     return 0 if people is None else int(np.count_nonzero((people[..., 2] > LEAST_CONFIDENCE).sum(-1) >= LEAST_SEEN))
 
 
-def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
-    """Decide whether a view shows a person, for a good part of the clip, who is none of the tracked people.
-
-    column: candidates of the view in each frame.
-    tracks: the tracked people.
-    c: the view.
-    frames: their number.
-    """
-    known = np.zeros(frames, dtype=np.int64)
-    for t in tracks:
-        known[t.first : t.last + 1] += t.candidates[:, c] >= 0
-    count = np.array([_how_many(p) for p in column])
-    return bool((count > known).sum() > 2 * _PART * frames)
-
-
-def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
-    """Select the person in each view separately; where a view shows several, those who move alike in all views.
-
-    Of equals, the people present longest are taken.
-
-    columns: per view the candidates of each frame; of_view(c): the people of view c, see `view_tracks`.
-    names: names of the K points.
-    width: columns of a point.
-    notes: sentences for the user.
-    """
-    found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
-    shown = [c for c, people in enumerate(found) if people]
-    which = dict.fromkeys(shown, 0)
-    if any(len(_rivals(people)) > 1 for people in found):
-        points = [[taken(columns[c], t, len(names), width) for t in found[c]] for c in shown]
-        apart = {
-            (a, b): np.array([[moves_as(one, other) for other in points[b]] for one in points[a]])
-            for a, b in itertools.combinations(range(len(shown)), 2)
-        }
-
-        def cost(choice: tuple[int, ...]) -> float:
-            pairs = [table[choice[a], choice[b]] for (a, b), table in apart.items()]
-            return float(np.nan_to_num(pairs, nan=1.0).mean()) if pairs else 0.0
-
-        best = min(itertools.product(*(range(len(people)) for people in points)), key=cost)
-        which = dict(zip(shown, best, strict=True))
-    out = np.zeros((len(columns[0]), len(columns), len(names), width))
-    for c, k in which.items():
-        out[:, c] = taken(columns[c], _continued(found[c][k], of_view(c)), len(names), width)
-    return OnePerson(out, bool(notes), (), False, (), notes)
-
-
-def _rivals(tracks: Sequence[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
-    """Select the first person of a view and those who are present at the same time, for 30 % of their frames or more.
-
-    tracks: (T,) candidates of each person, see `view_tracks`.
-    """
-    if not tracks:
-        return []
-    there = tracks[0] >= 0
-    return [tracks[0], *(t for t in tracks[1:] if ((t >= 0) & there).sum() > 0.3 * (t >= 0).sum())]
-
-
 def _alike(
-    column: Sequence[Array | None], tracks: Sequence[NDArray[np.int64]], others: Array, names: Sequence[str], width: int
+    column: Sequence[Array | None],
+    tracks: Sequence[NDArray[np.int64]],
+    others: Array,
+    names: Sequence[str],
+    mirrored: bool = False,
 ) -> Array:
-    """Find the points (T, K, width) of the person in one view who moves like the person (T, C, K, 3) in the other
-    views.
+    """Find the points (T, K, columns) of the person in one view who moves like the person (T, C, K, columns) in the
+    other views.
 
     column: candidates of the view in each frame.
     tracks: the people of the view, see `view_tracks`.
     names: names of the K points.
-    width: columns of a point.
-    All zero where no person does.
+    mirrored: the view's pictures may be mirrored.
+    Of a view with one person at a time, and of the first view, it is the person present longest. All zero where no one
+    of several moves like the person.
     """
-    twin, scored = other_sides(names), []
-    for t in tracks[:_COMPARED]:
-        p = taken(column, t, len(names), width)
-        for named in (p, p[:, twin]):  # pictures may be mirrored
-            found = [x for c in range(others.shape[1]) if np.isfinite(x := moves_as(named, others[:, c]))]
-            scored += [(float(np.mean(found)), t)] if found else []
-    least, best = min(scored, key=lambda s: s[0], default=(np.inf, tracks[0]))
-    unsure = len(_rivals([best, *(t for t in tracks if t is not best)])) > 1 and least > _SAME
-    if unsure or not scored:
-        return np.zeros((len(column), len(names), width))
-    return taken(column, _continued(best, tracks), len(names), width)
+    size, best = (len(names), others.shape[3]), next(iter(tracks), np.full(len(column), -1))
+    rivals = [t for t in tracks[1:_COMPARED] if ((t >= 0) & (best >= 0)).sum() > 0.3 * (t >= 0).sum()]
+    if rivals and others.shape[1]:
+        twin, scored = other_sides(names), [(_SAME, np.full(len(column), -1))]
+        for t in (best, *rivals):
+            p = taken(column, t, *size)
+            for named in (p, p[:, twin]) if mirrored else (p,):
+                found = [x for c in range(others.shape[1]) if np.isfinite(x := moves_as(named, others[:, c]))]
+                scored += [(float(np.mean(found)), t)] if found else []
+        best = min(scored, key=lambda s: s[0])[1]
+    return taken(column, _continued(best, tracks) if (best >= 0).any() else best, *size)
 
 
 def _continued(track: NDArray[np.int64], tracks: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -372,14 +321,13 @@ _COARSE = 0.1  # share of repeated places in a view from which they are rounded 
 _LEAST_SEEN = 6  # least points of a frame that show whether the others move
 
 
-def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
+def without_held(column: Sequence[Array | None]) -> tuple[list[Array | None], int]:
     """Set the confidence of key points of one view to 0 where a program only repeated ("held") the last position.
 
     A point is held where its position is exactly the same in three or more frames in succession while most other points
     of the view move; the first of these frames is a detection and stays.
-    column: per frame the people (P, K, M), with u, v, confidence in the columns 0 to 2; None where there are none.
-    first: index of the first of the two columns with the positions (px) as the file gave them, which are compared; 0
-        where u and v are those, 3 where u and v were undistorted and the given ones follow the confidence.
+    column: per frame the people (P, K, 5): undistorted u, v, confidence, and the position as the file gave it, px,
+        which is compared; None where there are none.
     Returns: the frames, copied and with confidence 0 at held points; and the number of held points. Where more than a
         tenth of all positions are repeated (rounded too much, or too still to decide), nothing changes and it is 0.
     """
@@ -390,9 +338,7 @@ def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[A
         if people is None or not len(people):
             before = None
             continue
-        given = column[t]
-        assert given is not None
-        there, place = given[..., 2] > 0, given[..., first : first + 2]
+        there, place = people[..., 2] > 0, people[..., 3:5]
         age = np.ones(there.shape, dtype=np.int64)
         if before is not None:
             places, ages = before

@@ -1,5 +1,5 @@
-"""Compute outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` caches those of a
-frame.
+"""Compute outlines of masks: signed distances and points on the edge. `hypose.evidence.frame.Silhouettes` keeps
+those of a frame.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from scipy import ndimage
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
-from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull, common_view_bounds, visual_hull
 from hypose.geometry import Array
@@ -62,8 +62,6 @@ class BodyShape:
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
-        if z.min() > _NEAR_M:
-            return x[:, :2] / z, x[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(z > _NEAR_M, x[:, :2] / z, np.nan), x[:, 2]
 
@@ -305,9 +303,7 @@ class HullPerson:
     @property
     def is_person(self) -> bool:
         """Whether the hull has the volume of a person, or of a child."""
-        if self.tall:
-            return self.litres > LITRES
-        return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
+        return _like_a_person(self.hull.height, self.litres, self.litres)
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
         """Draw the person in all views, with gaps closed; about: draw only the hull within this distance of the axis,
@@ -372,21 +368,15 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
     floor: height of the floor, m.
     most: largest number of people.
     surface: least volume of a person where the voxels are only its surface, litres; 0: the voxels fill the person.
-    """
-    return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
-
-
-def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
-    """Find where people stand, (2,) m, in the order of the hull's density there, and which voxels (M,) belong to each.
-
-    floor: height of the floor, m.
-    most: largest number of people.
-    surface: as for `people_of_hull`.
+    Returns: the people, in the order of the hull's density where they stand.
     """
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
     disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, _APART))
+    around = np.rint(
+        cv2.filter2D(filled.astype(np.float32), -1, disc.astype(np.float32), borderType=cv2.BORDER_CONSTANT)
+    )
     beyond = wide.shape[0] // 2
     free = np.pad(density > 0, beyond)  # so that no disc ends at the plan's border
     axes: list[Array] = []
@@ -398,7 +388,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
             continue
         taken = small
         # most places have too little hull around them
-        if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
+        if around[i, j] * litre > (surface or CHILD_LITRES):
             axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
             if _stands(points[away < ABOUT], np.count_nonzero(away < PART_OF_LARGER_M) * litre, litre, floor, surface):
@@ -414,9 +404,10 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         nearest = away.argmin(1)
         nearby = (away < PART_OF_LARGER_M).sum(0) * litre
         near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
-        stands = [_stands(own, nearby[k], litre, floor, surface) for k, own in enumerate(near)]
+        stands = [_stands(part, nearby[k], litre, floor, surface) for k, part in enumerate(near)]
         if all(stands) or len(axes) == 1:
-            return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
+            own = [(nearest == k) & (away[:, k] < REACH) for k in range(len(axes))]
+            return [HullPerson(_part(hull, part, axis), axis) for axis, part in zip(axes, own, strict=True)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
         del axes[worst]
 
@@ -426,20 +417,6 @@ def _disc(radius: float) -> NDArray[np.bool_]:
     r = int(radius)
     u, v = np.ogrid[-r : r + 1, -r : r + 1]
     return np.hypot(u, v) < radius
-
-
-def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
-    """Sum the plan within a disc around one of its cells.
-
-    filled: (nx, ny) number of voxels in each column.
-    i, j: the cell.
-    disc: as built by `_disc`.
-    """
-    r = disc.shape[0] // 2
-    low, left = max(i - r, 0), max(j - r, 0)
-    part = filled[low : i + r + 1, left : j + r + 1]
-    own = disc[low - i + r :, left - j + r :][: part.shape[0], : part.shape[1]]
-    return int(part[own].sum())
 
 
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
@@ -454,7 +431,13 @@ def _stands(near: Array, nearby: float, litre: float, floor: float, surface: flo
     """
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
-    litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
+    return _like_a_person(float(np.ptp(near[:, 2])), len(near) * litre, nearby, surface)
+
+
+def _like_a_person(height: float, litres: float, nearby: float, surface: float = 0.0) -> bool:
+    """Decide by height, m, and volume, litres, whether a hull may be a person, or a child; nearby, surface: as for
+    `_stands`.
+    """
     if height > _TALL:
         return litres > (surface or LITRES)
     return not surface and height > CHILD and litres > CHILD_LITRES and nearby < SLENDER * height**3
@@ -532,20 +515,14 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
     """
     if frame.depth is None:
         return visual_hull(frame.the(Silhouettes), bounds)
-    depth, found, rays = frame.depth, list[Array](), list[Array]()
-    for c in np.flatnonzero(depth.usable).tolist():
-        camera, (w, h) = depth.rig[c], depth.rig.sizes[c]
-        given = np.ascontiguousarray(depth.maps[c, :h, :w])
-        # pixels whose neighbours lie on the same surface, at the median of these
-        low, high, z = cv2.erode(given, _AROUND), cv2.dilate(given, _AROUND), cv2.medianBlur(given, 3)
-        v, u = np.nonzero((low > 0) & (high - low < JUMP_M) & (depth.person[c, :h, :w] > 0))
-        points = in_world(camera, back_projected(camera, u, v, z[v, u]))
-        ray = points - camera.position
-        found.append(points)
-        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
-    if not sum(len(p) for p in found):
+    depth = frame.depth
+    at, seen = replace(depth, maps=np.stack([cv2.medianBlur(m, 3) for m in depth.maps])).pixels
+    whole = _even(depth.maps, _AROUND, JUMP_M)[tuple(at.T)]
+    at, seen = at[whole], seen[whole]
+    if not len(seen):
         raise EvidenceError("No depth camera shows a person; choose another frame, or record the empty room again.")
-    seen, ray = np.concatenate(found), np.concatenate(rays)
+    ray = seen - depth.rig.positions[at[:, 0]]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     ray[:, 2] = 0  # feet and head are where they are seen
     behind = np.arange(0.0, _THICK_M, _VOXEL_M)
     points = (seen[:, None] + behind[:, None] * ray[:, None]).reshape(-1, 3)
@@ -554,6 +531,11 @@ def occupied_space(frame: Frame, bounds: Array | None = None) -> Hull:
     if not len(points):
         return Hull(np.zeros((1, 1, 1), dtype=np.bool_), np.zeros(3), _VOXEL_M)
     return _voxels(points, _VOXEL_M, 1)
+
+
+def _even(maps: NDArray[np.float32], around: NDArray[np.uint8], most: float) -> NDArray[np.bool_]:
+    """Find the pixels (C, h, w) around which depth maps differ by less than `most`, m; around: shape of the part."""
+    return np.stack([cv2.dilate(m, around) - cv2.erode(m, around) < most for m in maps])
 
 
 def _voxels(points: Array, voxel: float, least: int) -> Hull:
@@ -589,8 +571,7 @@ def people_in_depth(
     most: largest number of people.
     """
     at, points = depth.pixels
-    calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
-    rest = calm[tuple(at.T)]
+    rest = _even(depth.maps, _AROUND, 2 * JUMP_M)[tuple(at.T)]
     for one in known:
         rest &= _away(one.shape, at, points) > _EXPLAINED_M
     at, points = at[rest], points[rest]
@@ -671,9 +652,7 @@ def _nearest_person(
     """
     at, points = depth.pixels
     mine_m = _away(own, at, points)
-    theirs_m = np.full(len(points), np.inf)
-    for other in others:
-        theirs_m = np.minimum(theirs_m, _away(other.shape, at, points))
+    theirs_m = np.min([np.full(len(points), np.inf), *(_away(other.shape, at, points) for other in others)], axis=0)
     mine = (mine_m <= theirs_m) & (mine_m < _REACH_M) | (anywhere & (theirs_m > _EXPLAINED_M))
     masks, taken = np.zeros_like(depth.person), np.zeros_like(depth.person)
     masks[tuple(at[mine].T)] = 1

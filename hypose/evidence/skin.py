@@ -139,11 +139,8 @@ def _smoothed(pixels: NDArray[np.uint8]) -> Array:
     return np.asarray(ndimage.gaussian_filter(counts, (1.5, 1.2, 1.2), truncate=3.0)) * 20.0  # nearby pixels
 
 
-def skin_map(
-    image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None, table: ColorTable | None = None
-) -> NDArray[np.float32]:
-    """Compute the probability of skin (h, w) in a picture (h, w, 3) uint8 BGR; 0 outside the mask (h, w) when one is
-    given.
+def skin_map(image: NDArray[np.uint8], mask: NDArray[np.uint8], table: ColorTable | None = None) -> NDArray[np.float32]:
+    """Compute the probability of skin (h, w) in a picture (h, w, 3) uint8 BGR; 0 outside the mask (h, w).
 
     table: as returned by `skin_table` (default) or `learned_table`.
     It is the mean over 3 x 3 pixels within the mask without its outermost pixel, because masks include a little of the
@@ -155,12 +152,10 @@ def skin_map(
             f"The skin detector needs a colour picture (h, w, 3) of 8 bit, got {image.dtype} {image.shape}; grey "
             "recordings have no skin colour: use key points instead."
         )
-    if mask is not None and mask.shape != image.shape[:2]:
+    if mask.shape != image.shape[:2]:
         raise InputError(f"The mask {mask.shape} and the picture {image.shape[:2]} differ in size.")
     colors = skin_table() if table is None else table
-    where = np.ones(image.shape[:2], np.uint8) if mask is None else (mask > 0).astype(np.uint8)
-    if mask is not None:
-        where = np.asarray(cv2.erode(where, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+    where = np.asarray(cv2.erode((mask > 0).astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=np.uint8)
     x, y, w, h = cv2.boundingRect(where)
     out = np.zeros(image.shape[:2], np.float32)
     if w == 0:

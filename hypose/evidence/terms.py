@@ -30,8 +30,7 @@ from hypose.compute.arrays import (
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import SMALLEST, shrunk_projection
-from hypose.evidence.prefetch import outlines
+from hypose.evidence.outlines import SMALLEST, WORKING_HEIGHT, shrunk_projection
 from hypose.geometry import Array
 
 SCALE_OF_HEIGHT = 2.5 / 260
@@ -185,7 +184,8 @@ def contour_term(
     The Geman-McClure scale is 2.5 px for a person 260 px tall, in proportion (10 px in a 1080p image), in the first
     iterations twice that.
     """
-    made = outlines(silhouettes, outline_count, working_height)
+    kept = (outline_count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
+    made = silhouettes.outlines if kept else silhouettes.outlined(outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
         [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]

@@ -8,7 +8,7 @@ Sources: two-way contour distances as in Gall et al. 2009, with the loss of Gema
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ _OUT_PX = 1.2
 _FLAT = 0.3
 """Slope of a distance below which it has no direction: where two outlines meet."""
 _FEWEST = 8
-"""Least number of edges and of points of a visible outline."""
+"""Least number of points of a visible outline."""
 _FARTHEST_M = 0.3
 _TURNED_M = 0.06
 """m, extra distance of a surface whose normal points the opposite way."""
@@ -121,25 +121,38 @@ def _visible_outline(
     faces, edges, size = np.asarray(at.mesh.faces), np.asarray(at.mesh.edges), np.array(shape[::-1])
     one, two = uv[faces[:, 1]] - uv[faces[:, 0]], uv[faces[:, 2]] - uv[faces[:, 0]]
     front = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0] < 0  # image y grows downwards
+    parts = lambda length: np.maximum(np.ceil(length / spacing_px), 1)  # noqa: E731
+    ends, along, length, normal = contour_points(edges, front, uv, 1e-3, parts)
+    point = uv[ends[:, 0]] + along[:, None] * (uv[ends[:, 1]] - uv[ends[:, 0]])
+    inside = ((point >= BORDER) & (point < size - 1 - BORDER)).all(1)
+    column, row = np.clip(np.rint(point + _OUT_PX * normal), 0, size - 1).astype(np.int64).T
+    kept = inside & (covered(uv, depth, faces, shape)[row, column] == 0)
+    if kept.sum() < _FEWEST:
+        return None
+    return ends[kept], along[kept], length[kept], point[kept], normal[kept]
+
+
+def contour_points(
+    edges: NDArray[np.int32], front: NDArray[np.bool_], uv: Array, shortest_px: float, parts: Callable[[Array], Array]
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Place points on the mesh edges between a face that is seen from outside and one that is not.
+
+    edges: (E, 4) vertices, and faces left and right; front: (F,) faces seen from outside; uv: (V, 2) px.
+    shortest_px: shorter edges have no points.
+    parts: function that computes the number of points of edges from their lengths (N,), px.
+    Returns: of N points: (N, 2) vertices of the edge, (N,) place on it, 0..1, (N,) length of contour for which a point
+        stands, px, (N, 2) unit outward normals in the image.
+    """
     left = front[edges[:, 2]]
     on = left != front[edges[:, 3]]
     ends = np.where(left[on, None], edges[on][:, :2], edges[on][:, 1::-1]).astype(np.int64)
     way = uv[ends[:, 1]] - uv[ends[:, 0]]
     length = np.hypot(way[:, 0], way[:, 1])
-    long = length > 1e-3
-    ends, way, length = ends[long], way[long], length[long]
-    count = np.maximum(np.ceil(length / spacing_px), 1).astype(np.int64)
+    count = np.where(length >= shortest_px, parts(length), 0).astype(np.int64)
     of = np.repeat(np.arange(len(count)), count)
     along = (np.arange(len(of)) - (np.cumsum(count) - count)[of] + 0.5) / count[of]
-    point = uv[ends[of, 0]] + along[:, None] * way[of]
-    # the front face lies on the other side
-    normal = (np.stack([-way[:, 1], way[:, 0]], 1) / length[:, None])[of]
-    inside = ((point >= BORDER) & (point < size - 1 - BORDER)).all(1)
-    column, row = np.clip(np.rint(point + _OUT_PX * normal), 0, size - 1).astype(np.int64).T
-    kept = inside & (covered(uv, depth, faces, shape)[row, column] == 0)
-    if len(ends) < _FEWEST or kept.sum() < _FEWEST:
-        return None
-    return ends[of[kept]], along[kept], (length / count)[of[kept]], point[kept], normal[kept]
+    normal = np.stack([-way[of, 1], way[of, 0]], 1) / length[of, None]  # the front face lies on the other side
+    return ends[of], along, (length[of] / count[of]), normal
 
 
 def _bilinear(image: NDArray[np.float32], at: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

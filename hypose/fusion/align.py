@@ -11,11 +11,12 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.evidence.frame import FARTHEST_M, INFERRED, SensorReport, clean_joints
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.geometry import Array, procrustes, transform
@@ -173,8 +174,7 @@ def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
     use = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if use.sum() < 100:
         return np.inf
-    motion = procrustes(b[use], a[use])[0]
-    return float(np.sqrt(((transform(motion, b[use]) - a[use]) ** 2).sum(1).mean()))
+    return float(np.sqrt(((transform(procrustes(b[use], a[use])[0], b[use]) - a[use]) ** 2).sum(1).mean()))
 
 
 # ---- output instants -----------------------------------------------------------------------------------------------
@@ -203,10 +203,12 @@ class AlignSettings:
     most_people: int = 16
 
     def __post_init__(self) -> None:
-        if not 1 <= self.rate <= 1000:
-            raise InputError(f"An output rate of {self.rate:g} Hz is not possible; give 1 to 1000.")
-        if not 0 <= self.wait <= 10 or not 0 < self.timeout <= 60 or not 0 < self.hold <= 10:
-            raise InputError("wait must be 0 to 10 s, timeout up to 60 s and hold up to 10 s.")
+        possible = 0 <= self.wait <= 10 and 0 < self.timeout <= 60 and 0 < self.hold <= 10
+        faults = {
+            f"An output rate of {self.rate:g} Hz is not possible; give 1 to 1000": not 1 <= self.rate <= 1000,
+            "wait must be 0 to 10 s, timeout up to 60 s and hold up to 10 s": not possible,
+        }
+        refuse("", faults)
 
 
 @dataclass(frozen=True)
@@ -251,30 +253,6 @@ class Instant:
     index: int
     time: float
     sensors: tuple[SensorView, ...]
-
-
-@dataclass(frozen=True)
-class SensorStatus:
-    """State of one sensor, for display.
-
-    name: name of the sensor.
-    alive: whether it reported within the time-out.
-    rate: rate of its reports, Hz.
-    offset: s to add to its clock to get the host's.
-    jumps: number of jumps of its clock.
-    returns: number of times that it came back after a silence.
-    used: number of reports used.
-    refused: number of reports refused, because they came too late or their time was implausible.
-    """
-
-    name: str
-    alive: bool
-    rate: float
-    offset: float
-    jumps: int
-    returns: int
-    used: int
-    refused: int
 
 
 _KEPT = 8
@@ -325,24 +303,17 @@ class _Track:
             return self.reports[0] if times[0] - time <= 0.5 * period else None
         if k < len(times) and times[k] - times[k - 1] <= s.hold + period:
             w = (time - times[k - 1]) / (times[k] - times[k - 1])
-            return self._between(k, w)
+            (a, before), (b, after) = self.reports[k - 1 : k + 1]
+            nearer, known = self.reports[k - 1 if w < 0.5 else k]
+            state = np.minimum(before, after)
+            alone = state == 0  # a joint that one of them lacks is that of the nearer one
+            return np.where(alone[:, None], nearer, a + w * (b - a)), np.where(alone, known, state)
         age = time - times[k - 1]
         if k < len(times) and times[k] - time < age:
             return self.reports[k] if times[k] - time <= 0.5 * period else None
         if age > s.hold:
             return None
         return self._ahead(k, time, period, s)
-
-    def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
-        """Interpolate between the reports k - 1 and k; w: share of the way, 0..1. A joint that one of them lacks is
-        that of the nearer one.
-        """
-        (a, before), (b, after) = self.reports[k - 1], self.reports[k]
-        both = a + w * (b - a)
-        state = np.minimum(before, after)
-        nearer, known = self.reports[k - 1 if w < 0.5 else k]
-        alone = state == 0
-        return np.where(alone[:, None], nearer, both), np.where(alone, known, state)
 
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
         """Extrapolate along a straight line fitted to the last reports, at most `horizon` ahead.
@@ -372,8 +343,7 @@ class _Track:
         # never further than they reach back: reports a few ms apart give no speed, only noise
         ahead = t[-1] + min(age, s.horizon, float(t[-1] - t[0]))
         weights = 1 / n + ahead * t / spread
-        positions = np.stack([reported for reported, _ in self.reports[first:k]])
-        line = (weights @ positions.reshape(n, 45)).reshape(15, 3)
+        line = (weights @ np.stack([reported for reported, _ in self.reports[first:k]]).reshape(n, 45)).reshape(15, 3)
         return np.where(np.isfinite(line), line, last), state
 
 
@@ -420,14 +390,6 @@ class _Sensor:
         self.steps.clear()
         self.life += 1
 
-    def alive_at(self, time: float, timeout: float) -> bool:
-        """Return whether the reports cover an instant (on the sensor's clock).
-
-        Why: frames that are made up for after a pause of this machine may lie before the first report of a sensor that
-        is alive now.
-        """
-        return self.alive and time <= self.newest + timeout and not self.until + timeout < time < self.since
-
 
 class Aligner:
     """Buffer that brings the reports of all sensors to the output instants n / rate after the first report.
@@ -442,7 +404,6 @@ class Aligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self.settings = settings or AlignSettings()
         self._sensors: dict[str, _Sensor] = {}
-        self._common: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self._start = math.nan
         self._next = 0
         self.skipped = 0
@@ -506,16 +467,11 @@ class Aligner:
         """Return positions (15, 3) and state (15,) of the common joints of a report; missing joints are NaN and state
         0.
         """
-        key = tuple(names)
-        common = self._common.get(key)
-        if common is None:
-            common = joint_set(key).common
-            if len(self._common) < 64:
-                self._common[key] = common
+        common = joint_set(tuple(names)).common
         p = np.asarray(positions, dtype=np.float64)
         q = np.asarray(state, dtype=np.uint8)
-        if p.shape != (len(key), 3) or q.shape != (len(key),):
-            raise InputError(f"The sensor {sensor} names {len(key)} joints but gives {p.shape[0]} positions.")
+        if p.shape != (len(names), 3) or q.shape != (len(names),):
+            raise InputError(f"The sensor {sensor} names {len(names)} joints but gives {p.shape[0]} positions.")
         p, q = p[common], q[common]
         if p.min() > -FARTHEST_M and p.max() < FARTHEST_M and q.min() > 0:  # the usual case; False for NaN
             return p, q
@@ -572,6 +528,8 @@ class Aligner:
         """Interpolate the persons of one sensor at an instant; t: s of the host's clock."""
         s, bodies, period = self.settings, [], it.period
         t -= it.clock.offset
+        # frames that are made up for after a pause of this machine may lie before the first report of a living sensor
+        covered = it.alive and t <= it.newest + s.timeout and not it.until + s.timeout < t < it.since
         if it.alive:
             for person, track in it.tracks.items():
                 # the sensor reported later frames without this person: it has lost the person
@@ -579,20 +537,25 @@ class Aligner:
                 found = None if lost else track.at(t, period, s)
                 if found is not None and found[1].any():
                     bodies.append(SensorBody(person, *found))
-        return SensorView(it.name, it.alive_at(t, s.timeout), max(it.life, 0), tuple(bodies))
+        return SensorView(it.name, covered, max(it.life, 0), tuple(bodies))
 
-    def status(self, now: float) -> tuple[SensorStatus, ...]:
-        """Return the state of each sensor at host time `now`."""
-        return tuple(
-            SensorStatus(
-                it.name,
-                now - it.arrival <= self.settings.timeout,
-                1 / it.period if it.steps else 0.0,
-                it.clock.offset,
-                it.clock.jumps,
-                max(it.life, 0),
-                it.used,
-                it.refused,
-            )
+    def status(self, now: float) -> list[dict[str, Any]]:
+        """Describe the state of each sensor at host time `now`, for display.
+
+        Returns: name; alive (it reported within the time-out); rate of its reports, Hz; offset, s to add to its clock
+            to get the host's; jumps of its clock; returns after a silence; numbers of reports used, and refused because
+            they came too late or their time was implausible.
+        """
+        return [
+            {
+                "name": it.name,
+                "alive": now - it.arrival <= self.settings.timeout,
+                "rate": round(1 / it.period, 1) if it.steps else 0.0,
+                "offset": round(it.clock.offset, 5),
+                "jumps": it.clock.jumps,
+                "returns": max(it.life, 0),
+                "used": it.used,
+                "refused": it.refused,
+            }
             for it in self._sensors.values()
-        )
+        ]

@@ -78,23 +78,9 @@ def remaining_uncertainty(
     apart = ((points[:, None] - points) ** 2).sum(-1)
     alike = np.maximum(_cosine(to[:, None], to)[..., 0], 0.0)
     order = np.argsort(-seen, axis=0, kind="stable")
-    systematic, wrong = np.empty(15), np.empty(15)
-    fusion.judge_claims(
-        *(
-            points - joints,
-            apart,
-            alike,
-            seen,
-            order,
-            np.asarray(variance),
-            OWN_SD_M,
-            GUESS_SD_M,
-            JITTER_M,
-            LARGE_ERROR_M,
-        ),
-        *(systematic, wrong),
-    )
-    return systematic, wrong
+    out, given = np.empty((2, 15)), (np.asarray(variance), OWN_SD_M, GUESS_SD_M, JITTER_M, LARGE_ERROR_M)
+    fusion.judge_claims(points - joints, apart, alike, seen, order, *given, *out)
+    return out[0], out[1]
 
 
 def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
@@ -338,9 +324,5 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
     length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     tracked = np.asarray(states) == TRACKED
     good = tracked[:, :, a] & tracked[:, :, b] & np.isfinite(length)
-    out = np.zeros(len(jt.SKELETON_BONES))
-    for i in range(len(out)):
-        use = good[..., i] if good[..., i].sum() > 20 else np.isfinite(length[..., i])
-        if use.any():
-            out[i] = np.median(length[..., i][use])
-    return out
+    use = np.where(good.sum((0, 1)) > 20, good, np.isfinite(length))
+    return np.array([np.median(d[u]) if u.any() else 0.0 for d, u in zip(length.T, use.T, strict=True)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion, isotropic
 from hypose.body.skeleton import Skeleton
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 from hypose.evidence.frame import TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import (
@@ -47,7 +47,7 @@ from hypose.fusion.swarm import (
     start_swarm,
     swarm_step,
 )
-from hypose.geometry import Array
+from hypose.geometry import Array, interpolated
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
 FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
@@ -97,24 +97,20 @@ def fuse_clip(
     Raises: InputError for an unknown method, for frames whose sensors or joints differ, for a clip without any joint,
         and for sensors that see different people.
     """
-    if method not in FUSION_METHODS:
-        raise InputError(f"There is no fusion method {method!r}; choose one of {', '.join(FUSION_METHODS)}.")
-    if not len(joints):
-        raise InputError("There are no frames to fuse; give at least one.")
+    unknown = f"There is no fusion method {method!r}; choose one of {', '.join(FUSION_METHODS)}"
+    none = "There are no frames to fuse; give at least one"
+    refuse("", {unknown: method not in FUSION_METHODS, none: not len(joints)})
     first = joints[0]
     for t, frame in enumerate(joints):
-        if frame.sensor_names != first.sensor_names:
-            raise InputError(
-                f"Frame {t} has the sensors {', '.join(frame.sensor_names)} instead of "
-                f"{', '.join(first.sensor_names)}; give every frame all sensors, with NaN for those that report "
-                "nothing."
-            )
-        if frame.joint_names != first.joint_names:
-            raise InputError(
-                f"Frame {t} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of "
-                f"{len(first.joint_names)}; map sensors of different joint sets to the common ones first "
-                "(fusion.register.common_joints)."
-            )
+        faults = {
+            f" has the sensors {', '.join(frame.sensor_names)} instead of {', '.join(first.sensor_names)}; give every "
+            "frame all sensors, with NaN for those that report nothing": frame.sensor_names != first.sensor_names,
+            f" has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of {len(first.joint_names)}; "
+            "map sensors of different joint sets to the common ones first (fusion.register.common_joints)": (
+                frame.joint_names != first.joint_names
+            ),
+        }
+        refuse(f"Frame {t}", faults)
     times = _clip_times(joints)
     # where no sensor sees the person, time goes on, so that the person gets lost
     joints = [
@@ -166,12 +162,7 @@ def _clip_times(joints: Sequence[SensorJoints]) -> Array:
     without any time has 30 frames per second.
     """
     times = np.array([np.nanmax(f.times) if np.isfinite(f.times).any() else np.nan for f in joints])
-    missing = ~np.isfinite(times)
-    if missing.all():
-        return np.arange(len(times)) / 30
-    index = np.arange(len(times))
-    times[missing] = np.interp(index[missing], index[~missing], times[~missing])
-    return times
+    return interpolated(times) if np.isfinite(times).any() else np.arange(len(times)) / 30
 
 
 def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: int) -> Iterator[SwarmEstimate]:
@@ -184,10 +175,10 @@ def _swarm(raw: Sequence[SensorJoints], world: Array, s: SwarmSettings, seed: in
     sensors = world.shape[1]
     swarm, memory = start_swarm(sensors), start_confidence(sensors)
     for frame, registered in zip(raw, world, strict=True):
-        seen = frame.positions, frame.state, frame.measured_depth, frame.times
+        measured = [] if frame.joint_depth is None else [frame.joint_depth]
+        seen = frame.positions, frame.state, measured, frame.times
         memory, inputs = confidence_step(memory, *seen, s.cured)
-        noise = s.rules.noise(*normalised(inputs, s.cured))
-        swarm, estimate = swarm_step(swarm, registered, noise, 0.0, s, seed)
+        swarm, estimate = swarm_step(swarm, registered, s.rules.noise(*normalised(inputs, s.cured)), 0.0, s, seed)
         yield estimate
 
 
@@ -261,8 +252,7 @@ def _with_rest(
         weights = np.where(np.isfinite(offsets[..., 0]), shares[:, at], 0.0) * states[:, :, j] / TRACKED
         total = weights.sum(1)
         mean = np.einsum("tk,tka->ta", weights, np.nan_to_num(offsets)) / np.maximum(total, 1e-300)[:, None]
-        fused = np.where((total > 0)[:, None], joints[:, at] + mean, np.nan)
-        joints = np.concatenate([joints, fused[:, None]], 1)
+        joints = np.concatenate([joints, np.where((total > 0)[:, None], joints[:, at] + mean, np.nan)[:, None]], 1)
         hidden = np.where(total > 0, 0.0, np.nan)
         known = {n: np.column_stack([values, values[:, at] + hidden]) for n, values in known.items()}
         parents.append(at)

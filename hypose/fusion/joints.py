@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,8 @@ def joint_sets() -> tuple[JointSet, ...]:
     return tuple(_set(n, *of) for n, of in (("OpenNI", openni), ("Kinect v2", kinect_2), ("Azure Kinect", azure)))
 
 
-def joint_set(names: Sequence[str]) -> JointSet:
+@lru_cache(64)
+def joint_set(names: tuple[str, ...]) -> JointSet:
     """Find the joint set that these joint names form, in any order.
 
     Returns: the set; its common and parent are indices into `names`.
@@ -121,7 +123,7 @@ def joint_set(names: Sequence[str]) -> JointSet:
             order = np.array([at[w] for w in wanted])
             back = np.argsort(order)
             parent = np.where(known.parent[back] >= 0, order[known.parent[back]], -1)
-            return JointSet(known.name, tuple(names), order[known.common], parent)
+            return JointSet(known.name, names, order[known.common], parent)
         best = min(best, (len(missing) + abs(len(given) - len(wanted)), f"{known.name} lacks {', '.join(missing)}"))
     raise InputError(
         f"{len(names)} joints ({', '.join(names[:4])}, ...) are none of the known sets (OpenNI 15, Kinect v2 25, Azure "

@@ -75,11 +75,6 @@ class SeenPerson:
     bodies: Mapping[str, SensorBody]
     placed: Mapping[str, Array]
 
-    @property
-    def seen(self) -> bool:
-        """Whether a sensor sees the person now."""
-        return bool(self.bodies)
-
 
 @dataclass
 class _Person:
@@ -174,8 +169,7 @@ class PeopleTracker:
         for p in self._people:
             p.members, p.placed = {}, {}
             p.blind = min(p.blind + step, s.blind) if blind else p.blind
-        order = sorted(views, key=lambda n: not (self._links[n].anchor and self._links[n].trusted))
-        for name in order:
+        for name in sorted(views, key=lambda n: not (self._links[n].anchor and self._links[n].trusted)):
             if views[name].bodies and self._links[name].motion is not None:
                 self._match(name, views[name].bodies, now)
         if not any(p.members for p in self._people):
@@ -284,8 +278,7 @@ class PeopleTracker:
             step = now - p.time
             if 0 < step < 0.5 and p.frames:
                 p.velocity = p.velocity + min(1.0, step / 0.15) * ((centre - p.centre) / step - p.velocity)
-                speed = float(np.linalg.norm(p.velocity))
-                p.velocity *= min(1.0, 8.0 / max(speed, 1e-9))
+                p.velocity *= min(1.0, 8.0 / max(float(np.linalg.norm(p.velocity)), 1e-9))
             p.centre = centre
         p.time, p.blind = now, 0.0
         p.frames += 1
@@ -319,15 +312,10 @@ class PeopleTracker:
         """
         link, s = self._links[name], self.settings
         if link.motion is not None:
-            if link.anchor or now - link.fitted < s.refit or len(link.pairs) < 10:
+            recent = [(target, body) for at, body, target in link.pairs if at >= now - s.window]
+            if link.anchor or now - link.fitted < s.refit or len(recent) < 10:
                 return
-            while link.pairs and link.pairs[0][0] < now - s.window:
-                link.pairs.popleft()
-            link.fitted = now
-            if len(link.pairs) < 10:
-                return
-            chosen = list(link.pairs)[:: max(1, len(link.pairs) // 40)]
-            both = np.stack([np.stack([target, body]) for _, body, target in chosen])
+            link.fitted, both = now, np.array(recent[:: max(1, len(recent) // 40)])
             # on all joints: the trunk is too small for its joints' constant errors (scenes A, B of the simulator, seeds
             # 0 to 2: 49.6, 43.3 mm by the trunk, 44.8, 40.3 by all)
             fit = register(both, iterations=8)
@@ -342,13 +330,12 @@ class PeopleTracker:
         if len(link.shots) < s.shots or now - link.tried < s.attempt or now <= self._tried:
             return
         link.tried = self._tried = now
-        while link.shots and link.shots[0][0] < now - s.window:
-            link.shots.popleft()
-        shots = [(bodies, people) for _, bodies, people in link.shots]
-        found, score = None, np.inf if link.before is None else place_score(link.before, shots)
+        shots = [(bodies, people) for at, bodies, people in link.shots if at >= now - s.window]
+        score = np.inf if link.before is None else place_score(link.before, shots)
         if link.before is not None and score < s.residual:
             found = link.before, score
-        found = found or find_place(shots, s.shots, s.residual, s.distinct)
+        else:
+            found = find_place(shots, s.shots, s.residual, s.distinct)
         if found is not None:
             link.motion, link.residual = found
             link.trusted, link.fitted, link.strays = True, now, 0
@@ -581,10 +568,9 @@ class LiveFuser:
             if name in p.placed:
                 positions[k], state[k] = p.placed[name], p.bodies[name].state
                 eyes[k] = self.people.transforms[name][:3, 3]
-        before = self._states.get(p.id) or start_fit()
-        self._states[p.id], estimate = fit_step(before, positions, state, now, eyes)
+        self._states[p.id], estimate = fit_step(self._states.get(p.id) or start_fit(), positions, state, now, eyes)
         sd = np.sqrt(estimate.variance + estimate.systematic)
-        return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
+        return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, bool(p.bodies))
 
 
 def _warm_up() -> None:

@@ -212,8 +212,7 @@ def upright_axes(up: Array) -> Array:
     """Compute the rotation world_from_sensor (3, 3) whose z axis is `up` (3,) and whose y axis points away from the
     sensor.
     """
-    straight_down = np.abs(up[2]) > 0.98
-    _, y, left = frame_of(up, [1.0, 0.0, 0.0] if straight_down else [0.0, 0.0, 1.0]).T
+    _, y, left = frame_of(up, [1.0, 0.0, 0.0] if abs(up[2]) > 0.98 else [0.0, 0.0, 1.0]).T
     return np.stack([-left, y, up])
 
 

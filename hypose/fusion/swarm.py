@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -238,22 +238,6 @@ class NoiseRules:
             ]
         )
 
-    @cached_property
-    def _consequents(self) -> tuple[Array, Array]:
-        out = np.linspace(0, 1, 51)
-        low, medium, high = (self.membership(out, n) for n in (LOW, MEDIUM, HIGH))
-        return out, np.stack([low, high, medium, medium, medium])
-
-    def aggregate(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """Combine the rules' scaled output sets by the algebraic sum.
-
-        f, d, a: (...) normalised inverse fluidity, depth error and unnatural posture.
-        Returns: (..., 51) membership of the output at points evenly spaced over [0, 1].
-        """
-        strength = self.firing(f, d, a)
-        sets = self._consequents[1]
-        return 1 - np.prod([1 - w[..., None] * s for w, s in zip(strength, sets, strict=True)], axis=0)
-
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
         """Compute the noise lambda in (0, 1): the centroid of the aggregated output set, 0.5 where no rule fires.
 
@@ -261,9 +245,13 @@ class NoiseRules:
         Returns: (...) noise.
         Deviation: the centres and slopes of the sigmoids are chosen, because the paper does not give them.
         """
-        g = self.aggregate(f, d, a)
+        out = np.linspace(0, 1, 51)
+        low, medium, high = (self.membership(out, n) for n in (LOW, MEDIUM, HIGH))
+        fired = zip(self.firing(f, d, a), (low, high, medium, medium, medium), strict=True)
+        # the rules' scaled output sets, combined by the algebraic sum
+        g = 1 - np.prod([1 - strength[..., None] * output for strength, output in fired], axis=0)
         total = g.sum(-1)
-        return np.where(total > 1e-12, g @ self._consequents[0] / np.maximum(total, 1e-12), 0.5)
+        return np.where(total > 1e-12, g @ out / np.maximum(total, 1e-12), 0.5)
 
 
 PUBLISHED_RULES = NoiseRules()
@@ -394,39 +382,33 @@ def _shares(h: Hypotheses) -> Array:
     return shares / np.maximum(shares.sum(1, keepdims=True), 1e-300)
 
 
-@dataclass(frozen=True)
-class MergedWheel:
-    """Resampling by roulette wheel (or Baker's universal sampling) that keeps equal candidates once.
+def merged_wheel(h: Hypotheses, rng: np.random.Generator, /, count: int, universal: bool = False) -> Hypotheses:
+    """Resample by roulette wheel (or Baker's universal sampling), and keep equal candidates once.
 
     count: number of draws per joint.
     universal: whether to use Baker's universal sampling.
+    Returns: the distinct candidates drawn, with log-weights log(copies / count).
     """
-
-    count: int
-    universal: bool = False
-
-    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Return the distinct candidates drawn, with log-weights log(copies / count)."""
-        shares = _shares(h)
-        some = np.asarray(shares.any(1))
-        if self.universal:
-            edges = np.cumsum(shares, 1)
-            edges *= self.count / np.where(some, edges[:, -1], 1.0)[:, None]
-            spun = np.clip(np.ceil(edges - rng.random((len(shares), 1))), 0, self.count)
-            counts = np.diff(spun, axis=1, prepend=0.0).astype(np.int64)
-        else:  # reversed, because rounding leaves a remainder to the last, which must not be padding
-            counts = rng.multinomial(self.count, shares[:, ::-1])[:, ::-1]
-        counts = np.where(some[:, None], counts, 0)
-        width = int(np.count_nonzero(counts, axis=1).max())
-        if width == 0:
-            return h
-        drawn = np.argsort(counts == 0, axis=1, kind="stable")[:, :width]
-        copies = np.take_along_axis(counts, drawn, 1)
-        with np.errstate(divide="ignore"):
-            log_weights = np.log(copies / self.count)
-        values = np.where(copies[..., None] > 0, np.take_along_axis(h.values, drawn[..., None], 1), 0.0)
-        origin = np.where(copies > 0, np.take_along_axis(h.origin, drawn, 1), -1)
-        return Hypotheses(values, log_weights, origin.astype(np.int32))
+    shares = _shares(h)
+    some = np.asarray(shares.any(1))
+    if universal:
+        edges = np.cumsum(shares, 1)
+        edges *= count / np.where(some, edges[:, -1], 1.0)[:, None]
+        spun = np.clip(np.ceil(edges - rng.random((len(shares), 1))), 0, count)
+        counts = np.diff(spun, axis=1, prepend=0.0).astype(np.int64)
+    else:  # reversed, because rounding leaves a remainder to the last, which must not be padding
+        counts = rng.multinomial(count, shares[:, ::-1])[:, ::-1]
+    counts = np.where(some[:, None], counts, 0)
+    width = int(np.count_nonzero(counts, axis=1).max())
+    if width == 0:
+        return h
+    drawn = np.argsort(counts == 0, axis=1, kind="stable")[:, :width]
+    copies = np.take_along_axis(counts, drawn, 1)
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(copies / count)
+    values = np.where(copies[..., None] > 0, np.take_along_axis(h.values, drawn[..., None], 1), 0.0)
+    origin = np.where(copies > 0, np.take_along_axis(h.origin, drawn, 1), -1)
+    return Hypotheses(values, log_weights, origin.astype(np.int32))
 
 
 @dataclass(frozen=True)
@@ -489,10 +471,10 @@ def swarm_step(
     weights = np.where(seen, np.maximum(noise, 1e-6) ** -settings.power, 0.0)
     frame = SwarmFrame(positions, moved, weights, settings)
     due = state.candidates is None or (settings.restart_every > 0 and state.age >= settings.restart_every)
-    turned = abs(heading - state.heading_at_restart)
-    due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
+    due = due or (settings.restart_turn > 0 and abs(heading - state.heading_at_restart) > settings.restart_turn)
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
-    layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
+    wheel = partial(merged_wheel, count=settings.count, universal=settings.universal)
+    layer = Layer(ride, energy, wheel, "swarm")
     recipe = Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
     result = search(candidates, recipe, frame, partial(stream, seed, state.frame))
     chosen = result.resampled

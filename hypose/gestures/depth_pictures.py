@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.forests import DepthImage
-from hypose.errors import InputError
+from hypose.errors import InputError, refuse
 
 _SMALLEST, _LARGEST = 32, 4096
 """Least and largest side of a picture, px."""
@@ -75,15 +75,14 @@ def millimetres(depth: ArrayLike, where: str = "The depth picture") -> DepthImag
     if d.dtype.kind not in "iu":
         raise InputError(f"{where} holds {d.dtype}; give metres as floats or millimetres as whole numbers.")
     top, low = int(d.max()), int(d.min())
-    if low < 0 or top > 65535:
-        raise InputError(
-            f"{where} holds values from {low} to {top}; millimetres lie between 0 (no measurement) and 65535."
-        )
-    if 0 < top <= _NEAR_METRES:
-        raise InputError(
-            f"{where} holds whole numbers up to {top}: that is metres, and whole numbers must be millimetres; multiply "
-            "the metres by 1000 before rounding, or give them as floats."
-        )
+    faults = {
+        f" holds values from {low} to {top}; millimetres lie between 0 (no measurement) and 65535": (
+            low < 0 or top > 65535
+        ),
+        f" holds whole numbers up to {top}: that is metres, and whole numbers must be millimetres; multiply the metres "
+        "by 1000 before rounding, or give them as floats": 0 < top <= _NEAR_METRES,
+    }
+    refuse(where, faults)
     return np.ascontiguousarray(d, dtype=np.uint16)
 
 

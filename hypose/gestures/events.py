@@ -78,16 +78,12 @@ def detect_events(
             crossing, needed = f.score < s.release * s.threshold, s.let_go_s
         else:
             crossing, needed = f.score >= s.threshold and time - w.ended >= s.refractory_s, s.hold_s
-        if not crossing:
-            w = replace(w, since=None)
+        since = time if w.since is None else w.since
+        if crossing and time - since >= needed - 1e-9:
+            events.append(Event(**vars(f), kind="end" if w.on else "start", time=time))
+            w = _Watch(not w.on, None, time if w.on else w.ended)
         else:
-            since = time if w.since is None else w.since
-            if time - since >= needed - 1e-9:
-                kind: Literal["start", "end"] = "end" if w.on else "start"
-                events.append(Event(**vars(f), kind=kind, time=time))
-                w = _Watch(not w.on, None, time if w.on else w.ended)
-            else:
-                w = replace(w, since=since)
+            w = replace(w, since=since if crossing else None)
         watches[f.gesture] = w
     return EventState(watches), events
 

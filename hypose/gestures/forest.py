@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import forest_votes, forests
-from hypose.compute.forest_votes import Packed
 from hypose.compute.forests import GrowingArrays, PaddedDepth
-from hypose.errors import InputError
 
 CLASSES = 2
 """Number of classes of a forest: the background (0) and the gesture (1)."""
@@ -78,7 +76,7 @@ class Forest:
     size: NDArray[np.int32]
 
     @cached_property
-    def packed(self) -> Packed:
+    def packed(self) -> NDArray[np.int16]:
         """Memory layout of the forest for scanning pictures."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
@@ -127,18 +125,10 @@ class GrowingForest:
     def learn(self, picture: PaddedDepth, rows: NDArray, columns: NDArray, labels: NDArray) -> None:
         """Learn pixels of a picture, in their order.
 
-        picture: padded depth picture.
+        picture: depth picture, padded for the reach of the settings.
         rows, columns: (S,) pixels.
         labels: (S,) class of each pixel.
-        Raises: InputError where the picture was padded for another reach.
         """
-        if not len(rows):
-            return
-        if picture.reach_mm != self.settings.reach_mm:
-            raise InputError(
-                f"The picture is padded for tests of {picture.reach_mm} mm, the forest has {self.settings.reach_mm} mm;"
-                " pad it again."
-            )
         cells = np.require(picture.cells(rows, columns), np.int64, ["C", "W"])
         classes = np.require(labels, np.int32, ["C", "W"])
         for k in range(0, len(cells), 64):  # room for two new nodes per sample is made between blocks
@@ -162,7 +152,7 @@ class GrowingForest:
         return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.seen[:, :n].copy(), a.size.copy())
 
     @property
-    def packed(self) -> Packed:
+    def packed(self) -> NDArray[np.int16]:
         """Memory layout of the forest as it is now, for scanning pictures."""
         a = self.arrays
         return forest_votes.pack(a.test, a.left, a.seen, a.size)
@@ -186,8 +176,7 @@ class GrowingForest:
             free = _longer(a.free, n, 0)
             n_free = a.n_free + np.int32(n - have)
             for t in range(len(free)):  # new slots come before the old ones: which slot a leaf gets does not matter
-                old = a.free[t, : a.n_free[t]]
-                free[t, : n_free[t]] = np.concatenate([np.arange(have, n, dtype=np.int16), old])
+                free[t, : n_free[t]] = np.concatenate([np.arange(have, n, dtype=np.int16), a.free[t, : a.n_free[t]]])
             a = a._replace(
                 free=free,
                 n_free=n_free,

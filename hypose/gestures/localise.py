@@ -9,7 +9,7 @@ Source: Alcoverro 2014, section 3.2.4. Deviations, both so that the same gesture
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hypose.compute import forest_votes, forests
 from hypose.compute.forest_votes import ScanPlan
 from hypose.compute.forests import DepthImage, PaddedDepth
-from hypose.errors import InputError
+from hypose.errors import refuse
 from hypose.gestures.depth_pictures import KINECT, DepthLens, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
 
@@ -75,7 +75,7 @@ class Scratch:
     """
 
     picture: PaddedDepth | None = None
-    densities: dict[int, NDArray[np.float32]] | None = None
+    densities: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
 
 Density = tuple[NDArray[np.float32], int]
@@ -121,18 +121,17 @@ def densities(
     Raises: InputError where the forests do not fit each other.
     """
     s = settings.at(lens)
-    if not forest_list:
-        raise InputError("There is no forest to search with; train a gesture first.")
-    reach = forest_list[0].settings.reach_mm
-    if any(f.settings.reach_mm != reach for f in forest_list):
-        raise InputError("The forests have different reaches; train them with the same reach_mm.")
-    if len(forest_list) > forest_votes.MOST_FORESTS:
-        raise InputError(
-            f"{len(forest_list)} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}."
-        )
-    picture = scratch.picture = forests.pad_depth(depth, lens.fx, s.plan.near_mm, reach, scratch.picture)
-    clips = [f.settings.clip for f in forest_list]
-    maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
+    reaches, count = {f.settings.reach_mm for f in forest_list}, len(forest_list)
+    faults = {
+        "There is no forest to search with; train a gesture first": not count,
+        "The forests have different reaches; train them with the same reach_mm": len(reaches) > 1,
+        f"{count} forests are too many for one search; give at most {forest_votes.MOST_FORESTS}": (
+            count > forest_votes.MOST_FORESTS
+        ),
+    }
+    refuse("", faults)
+    picture = scratch.picture = forests.pad_depth(depth, lens.fx, s.plan.near_mm, max(reaches), scratch.picture)
+    maps = forest_votes.scan(picture, [f.packed for f in forest_list], [f.settings.clip for f in forest_list], s.plan)
     return [forest_votes.parzen(picture, m, s.plan.stride, s.majority, s.sigma_px) for m in maps]
 
 
@@ -152,7 +151,6 @@ def settle(
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
         if s.adaptation_rate < 1:
-            scratch.densities = scratch.densities or {}
             last = scratch.densities.get(gesture)
             if last is not None and last.shape == density.shape:
                 density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(
@@ -187,8 +185,7 @@ def peak(
     r = int(np.ceil(radius))
     a, b = slice(max(0, i - r), i + r + 1), slice(max(0, j - r), j + r + 1)
     rows, columns = np.ogrid[a.start : min(a.stop, density.shape[0]), b.start : min(b.stop, density.shape[1])]
-    inside = (rows - i) ** 2 + (columns - j) ** 2 <= radius**2
-    score = 1e4 * float(density[a, b][inside].sum())
+    score = 1e4 * float(density[a, b][(rows - i) ** 2 + (columns - j) ** 2 <= radius**2].sum())
     return Localisation(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,8 @@ def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
     rng = np.random.default_rng()
     rng.bit_generator.state = value["random"]
     forest = GrowingForest(ForestSettings(**value["forest"]), GrowingArrays(**taken))
-    learner = Learner(forest, rng, LearnSettings(**value["learning"]), value["strength"])
+    learning = {f.name: value["learning"][f.name] for f in fields(LearnSettings) if f.name in value["learning"]}
+    learner = Learner(forest, rng, LearnSettings(**learning), value["strength"])
     return GestureModel(value["name"], learner, value["threshold"], tuple(value["history"]))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.forest_votes import ScanPlan
-from hypose.compute.forests import DepthImage, pad_depth
+from hypose.compute.forests import DepthImage
 from hypose.gestures.depth_pictures import DepthLens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
@@ -33,7 +33,6 @@ class LearnSettings:
     random: number of random negatives outside clear_mm.
     hard: largest number of hard negatives, within box_mm of a wrong maximum.
     few: number of random negatives that accompany the hard ones in a frame without gesture.
-    many: number of random negatives where no hard ones are learned (the baseline).
     box_mm, rim_mm, surface_mm, clear_mm: distances, mm.
     look: settings of the localisation while learning.
     """
@@ -43,7 +42,6 @@ class LearnSettings:
     random: int = 8
     hard: int = 30
     few: int = 2
-    many: int = 10
     box_mm: float = 15.0
     rim_mm: float = 20.0
     surface_mm: float = 80.0
@@ -138,12 +136,12 @@ class Taught:
     """Record of the pixels that were learned from one frame.
 
     learned: number of pixels of the background and of the gesture.
-    found: best place of the gesture before learning; None where it was not searched.
+    found: best place of the gesture before learning.
     mined: whether hard negatives were learned at that place.
     """
 
     learned: tuple[int, int]
-    found: Localisation | None
+    found: Localisation
     mined: bool
 
 
@@ -176,65 +174,46 @@ class Learner:
         """
         return Learner(GrowingForest.new(forest or ForestSettings(), rng), rng, settings or LearnSettings())
 
-    def show(self, depth: DepthImage, lens: DepthLens, x: float, y: float, *, mine: bool = True) -> Taught | None:
-        """Learn a frame in which the gesture is shown.
+    def show(self, depth: DepthImage, lens: DepthLens, x: float, y: float) -> Taught | None:
+        """Learn a frame in which the gesture is shown, and hard negatives elsewhere in it.
 
         depth: (h, w) uint16 mm, 0 = hole.
         lens: lens parameters of the depth camera.
         x, y: pixel of the gesture.
-        mine: whether to learn hard negatives elsewhere in the frame too.
         Returns: what was learned; None where no depth within the range of the scan is measured at that pixel.
         """
         s, draw = self.settings, self._draw
         surface = draw.surface(depth, x, y)
         if surface is None:
             return None
-        scale, others, hard = lens.fx / surface, 0, 0
-        found, clear = self._take(depth, lens, mine), (x, y, s.clear_mm * scale)
+        scale, hard = lens.fx / surface, 0
+        found, clear = localise(depth, lens, [self.forest], s.look, self.scratch)[0], (x, y, s.clear_mm * scale)
         positives = self._learn(draw.inside(depth, x, y, scale, surface, s.positives), GESTURE)
-        others += self._learn(draw.anywhere(depth, s.random if mine else s.many, clear), BACKGROUND)
-        if found is not None:
-            others += self._learn(draw.rim(depth, x, y, scale), BACKGROUND)
-            old = found.score if self.strength is None else self.strength
-            self.strength = 0.9 * old + 0.1 * found.score
-            if np.hypot(found.x - x, found.y - y) > clear[2]:
-                hard = self._mine(depth, lens, found)
+        others = self._learn(draw.anywhere(depth, s.random, clear), BACKGROUND)
+        others += self._learn(draw.rim(depth, x, y, scale), BACKGROUND)
+        old = found.score if self.strength is None else self.strength
+        self.strength = 0.9 * old + 0.1 * found.score
+        if np.hypot(found.x - x, found.y - y) > clear[2]:
+            hard = self._mine(depth, lens, found)
         return Taught((others + hard, positives), found, hard > 0)
 
-    def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
-        """Learn a frame in which the gesture is not shown.
+    def reject(self, depth: DepthImage, lens: DepthLens) -> Taught:
+        """Learn a frame in which the gesture is not shown: hard negatives at the maximum and a few random ones.
 
         depth: (h, w) uint16 mm, 0 = hole.
         lens: lens parameters of the depth camera.
-        mine: True: hard negatives at the maximum and a few random ones; False: random ones only.
         Returns: what was learned.
         Deviations: a few random negatives accompany the hard ones; the number of hard ones is proportional to the
         maximum relative to the maxima that the gesture reaches.
         """
-        found = self._take(depth, lens, mine)
-        hard = 0 if found is None else self._mine(depth, lens, found)
-        number = self.settings.few if mine else self.settings.many
-        others = self._learn(self._draw.anywhere(depth, number, None), BACKGROUND)
+        found = localise(depth, lens, [self.forest], self.settings.look, self.scratch)[0]
+        hard = self._mine(depth, lens, found)
+        others = self._learn(self._draw.anywhere(depth, self.settings.few, None), BACKGROUND)
         return Taught((others + hard, 0), found, hard > 0)
 
     @property
     def _draw(self) -> PixelSampler:
         return PixelSampler(self.rng, self.settings)
-
-    def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> Localisation | None:
-        """Pad a picture for learning.
-
-        depth: (h, w) uint16 mm.
-        lens: lens parameters of the depth camera.
-        look: whether to localise the gesture too.
-        Returns: best place of the gesture; None where `look` is False.
-        """
-        s = self.settings.look
-        if look:
-            return localise(depth, lens, [self.forest], s, self.scratch)[0]
-        reach_mm = self.forest.settings.reach_mm
-        self.scratch.picture = pad_depth(depth, lens.fx, s.plan.near_mm, reach_mm, self.scratch.picture)
-        return None
 
     def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation) -> int:
         """Learn hard negatives at a place where the forest finds the gesture although it is not there.
@@ -253,12 +232,12 @@ class Learner:
         return self._learn(self._draw.ring(depth, found.x, found.y, (0.0, radius), number), BACKGROUND)
 
     def _learn(self, pixels: Pixels, label: int) -> int:
-        """Learn pixels of the padded picture as one class; return their number.
+        """Learn pixels of the picture in which the gesture was searched last, as one class; return their number.
 
         pixels: rows and columns.
         label: the class.
         """
         (rows, columns), picture = pixels, self.scratch.picture
-        if len(rows) and picture is not None:
+        if picture is not None:
             self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))
         return len(rows)

@@ -313,7 +313,7 @@ class Trainer:
         """
         learner, shows = self.learner, kind == "gesture"
         taught = learner.show(depth, lens, *at) if shows else learner.reject(depth, lens)
-        if taught is not None and taught.found is not None:
+        if taught is not None:
             score = taught.found.score  # before the frame was learned
             session = replace(self.session, phase="positive" if shows else "negative")
             self.session = update_maximum(session, self.settings, score)

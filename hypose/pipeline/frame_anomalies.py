@@ -20,7 +20,6 @@ from hypose.body.skeleton import Skeleton
 from hypose.calibration.findings import INVALID, REVIEW, Finding
 from hypose.compute.parts import projected, touched_area
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
-from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array, runs
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.covariance_calibration import beyond_usual
@@ -97,7 +96,7 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
         if before.masks.shape != masks.masks.shape:
             continue
         out = np.full(len(masks.masks), np.nan, np.float32)
-        now, then = prepared_masks(masks), prepared_masks(before)  # packed already, for the tracker
+        now, then = masks.prepared, before.prepared
         for c in np.flatnonzero(masks.usable & before.usable):
             differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
             out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
@@ -342,7 +341,7 @@ def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton,
     Returns: (C,); NaN where the body touches nothing or a mask is not usable.
     """
     points = _points(skeleton, joints)
-    cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
+    cameras, seen, then = now.rig, now.prepared, before.prepared
     step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
     out = np.full(len(cameras), np.nan, np.float32)
     for c in np.flatnonzero(now.usable & before.usable).tolist():

@@ -21,7 +21,6 @@ from hypose.calibration.refine_points import (
     adjust,
     changes,
     gauge,
-    left_out_residual,
     point_residual,
     scale_rig,
     transform_rig,
@@ -245,8 +244,8 @@ def _residuals(
     if points.size:
         seen = [undistorted(rig, points) for rig in rigs]
         flat = [(uv.reshape(len(uv), -1, 2), confidence.reshape(len(uv), -1)) for uv, confidence in seen]
-        for what, measure in ((LEFT_OUT, left_out_residual), (ALL_VIEWS, point_residual)):
-            found = [measure(rig, *of) for rig, of in zip(rigs, flat, strict=True)]
+        for what in (LEFT_OUT, ALL_VIEWS):
+            found = [point_residual(r, *of, left_out=what == LEFT_OUT) for r, of in zip(rigs, flat, strict=True)]
             before, after = (float(np.nanmedian(r)) if np.isfinite(r).any() else np.nan for r in found)
             out[what] = before, after
     known = [s for s in silhouettes if s is not None]

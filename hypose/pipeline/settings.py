@@ -210,10 +210,6 @@ class PipelineSettings:
         start.
     rough_rivals: Other starts that are tried again when the others' bodies are known.
     rough_lost: 1 - IoU from which a rough body counts as not found.
-    sensor_scale_m, sensor_weight: Standard deviation of a reported joint, m; weight of one in units of the robust rows'
-        cost, half of it where it was inferred.
-    sensor_fewest: Least frames in which a sensor must report a joint for it to count.
-    sensor_alike: Correlation of movements below which two clocks cannot be aligned.
     sensor_apart_m: Median distances between the joints of two sensors from which a result is to be reviewed, and not to
         be trusted, m: 14 to 67 mm on 39 recordings of two real sensors; with one of them 15 % too
         large 113, a second late 122, with left and right exchanged in every frame 240.
@@ -245,9 +241,9 @@ class PipelineSettings:
     subject_the_person: Mean IoU of the template's girths up to which masks do not belong to the person of the key
         points.
     subject_bones, subject_sure_bones: Relative standard deviation of bones around those of the key points, per squared
-        median distance of the key points from the fitted body (1/m^2), since scatter makes lengths uncertain in this
-        proportion; and its limits. Chosen on bodies from plain, detector-like and thinned out key points (combo, seeds
-        1248 to 1253).
+        error of the key points (1/m^2), their median distance from the fitted body and their constant error, since both
+        make lengths uncertain in this proportion; and its limits. Chosen on bodies from plain, detector-like and
+        thinned out key points (combo, seeds 1248 to 1253).
     subject_height_off: Relative differences between the height that masks or depth show and the given one from which a
         motion is to be reviewed, and not to be trusted.
     subject_sure, subject_no_worse: Largest standard deviation of the height's logarithm with which it is used, and
@@ -452,10 +448,6 @@ class PipelineSettings:
     rough_frames: int = 16
     rough_rivals: int = 2
     rough_lost: float = 0.6
-    sensor_scale_m: float = 0.04
-    sensor_weight: float = 0.3
-    sensor_fewest: int = 10
-    sensor_alike: float = 0.5
     sensor_apart_m: tuple[float, float] = (0.085, 0.15)
     sensor_late_s: float = 0.2
     sensor_like: float = 0.85

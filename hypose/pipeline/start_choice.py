@@ -17,7 +17,6 @@ from hypose.body.body import Body
 from hypose.cameras.camera import triangulate
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes, pieces_of
-from hypose.evidence.prefetch import make_now
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS
@@ -282,8 +281,6 @@ def best_ways(
 
 def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:
     """Sort the starts by how well their tracks explain all frames."""
-    for masks in pieces_of(frames, Silhouettes):
-        make_now(masks)
     ways: list[StartTrial] = []
     for k, start in tried:
         way = way_of(start, k, frames, rate, seed, min(ways, key=lambda w: w.cost, default=None))

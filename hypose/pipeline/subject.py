@@ -23,10 +23,10 @@ from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
-from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.evidence.keypoints import lasting_m, triangulate_keypoints
 from hypose.fitting import fit_pose
 from hypose.fitting.articulated import SolveSettings
-from hypose.geometry import Array
+from hypose.geometry import Array, far_apart
 from hypose.inference.hypotheses import Hypotheses
 from hypose.io.files import toml_lines, write_text
 from hypose.io.motions.results import body_arrays, body_of_arrays, load_body, save_body
@@ -278,15 +278,7 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     local = np.einsum("tba,tjb->tja", rotations[:, 0], joints - joints[:, :1])
     heading = rotations[:, 0, :, 1] * 0.5
     feature = np.concatenate([local.reshape(len(poses), -1), heading], 1)
-    chosen = [max(allowed, key=lambda k: iou[k])]
-    gap = np.linalg.norm(feature - feature[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(allowed)):
-        new = max(allowed, key=lambda k: gap[k])
-        if gap[new] <= 0:
-            break
-        chosen.append(new)
-        gap = np.minimum(gap, np.linalg.norm(feature - feature[new], axis=1))
-    return sorted(chosen)
+    return [allowed[k] for k in far_apart(feature[allowed], int(np.argmax(iou[allowed])), count)]
 
 
 def overlaps(body: Body, poses: Array, frames: Sequence[Frame]) -> Array:
@@ -313,7 +305,7 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])
     chosen = different_poses(fitted.body, poses, overlap, SETTINGS.subject_poses)
     seen = [usable[k] for k in chosen]
-    square = float(np.nanmedian(fitted.residual)) ** 2
+    square = float(np.nanmedian(fitted.residual)) ** 2 + lasting_m(fitted.keypoints.names) ** 2
     known = Known(bones=float(np.clip(SETTINGS.subject_bones * square, *SETTINGS.subject_sure_bones)))
     fit = refine_shape(fitted.body, poses[chosen], [surface_evidence(frames[n]) for n in seen], known=known)
     after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])

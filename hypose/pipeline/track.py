@@ -230,7 +230,7 @@ def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | 
     none.
     """
     found = load_person(recording, small)
-    if not found.one.by_rays:
+    if not found.one.people:
         return None
     return KeypointPeople(found.one.people, found.names, small)
 

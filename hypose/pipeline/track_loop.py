@@ -28,7 +28,6 @@ from hypose.errors import HyposeError
 from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.people import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other, own_frame
-from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import Checkpoint
@@ -112,7 +111,6 @@ def step_together(
             ]
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
-            pack_once(own.the(Silhouettes))  # the tracker and the later audit both use them
         state, estimates[i] = m.tracker.step(m.state, own)
         after[i], seen[i], done[i] = replace(m, state=state), own, True
         for rig in rigs if not done.all() else ():
@@ -349,8 +347,6 @@ class TrackingSession:
         seen: Sequence[Frame],
     ) -> list[FrameEstimate]:
         """Add the statistics of a frame to the estimates of all people, see `looked_at`."""
-        for masks in frame.of(Silhouettes):
-            pack_once(masks)
         change = mask_change(frame, last)  # of the complete masks, since the ignored part changes too
         return [
             looked_at(m.tracker, estimate, own, last, change)

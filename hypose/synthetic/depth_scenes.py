@@ -21,7 +21,7 @@ from hypose.compute.zbuffer import rasterize
 from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
-from hypose.synthetic.scenes import box_mesh, joined_meshes, look_at, smooth_noise
+from hypose.synthetic.scenes import box_mesh, circle, joined_meshes, smooth_noise
 from hypose.synthetic.subjects import SyntheticSubject
 
 KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
@@ -63,11 +63,8 @@ def depth_rig(name: str) -> CameraRig:
         raise InputError(f"There are no sensors {name!r}; give depth-1 to depth-8.")
     n = int(count)
     azimuths = AZIMUTHS.get(n) or tuple(360.0 * k / n for k in range(n))
-    cameras = []
-    for k, a in enumerate(np.radians(azimuths)):
-        eye = [2.7 * np.sin(a), -2.7 * np.cos(a), 1.2]
-        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, KINECT_SIZE))
-    return CameraRig(tuple(cameras))
+    ring = circle([a - 90 for a in azimuths], 2.7, n * [1.2], FOCAL_PX, KINECT_SIZE, name="depth")
+    return CameraRig(tuple(ring))
 
 
 def turning(performance: Performance, subject: SyntheticSubject, heading: Array) -> Performance:
@@ -118,20 +115,18 @@ class DepthScene(OfPerformance):
 
         Returns: depth (h, w) m, and the pixels of the person (h, w) 0/1.
         """
-        camera, p = self.rig[view], self.performance
-        vertices = self.subject.skin(p.rotations[index], p.root[index])
-        own, room = _drawn(camera, vertices, self.subject.faces), self._rooms[view]
+        camera, room = self.rig[view], self._rooms[view]
+        own = _drawn(camera, self.vertices(index), self.subject.faces)
         for body, does in self.others:
             room = np.minimum(room, _drawn(camera, body.skin(does.rotations[index], does.root[index]), body.faces))
         return np.minimum(own, room), (own < room).astype(np.uint8)
 
     def depth_map(self, view: int, index: int) -> DepthMap:
         """Render frame `index` of sensor `view` with its faults: (h, w) m, 0 = hole, rounded to millimetres."""
-        camera, p = self.rig[view], self.performance
-        vertices = self.subject.skin(p.rotations[index], p.root[index])
+        camera, vertices = self.rig[view], self.vertices(index)
         clean, person = self.clean_map(view, index)
         rng = np.random.default_rng([self.seed, _FRAME, view, index])
-        head, drawn = p.joints[index, 4], np.zeros(clean.shape, np.uint8)
+        head, drawn = self.joints[index, 4], np.zeros(clean.shape, np.uint8)
         crown = vertices[(np.linalg.norm(vertices - head, axis=1) < 0.25) & (vertices[:, 2] > head[2] + 0.08)]
         if len(crown):
             hull = cv2.convexHull(np.rint(camera.project_pinhole(crown)).astype(np.int32))

@@ -40,7 +40,6 @@ _THUMB: dict[str, tuple[float, float, float]] = {
     "claw": (20, 20, 30),
     "grip": (30, 20, 25),
 }
-HAND_SHAPES = tuple(FLEXION)
 _CLOTH_M = 0.008
 
 
@@ -130,7 +129,7 @@ class GesturePerson(JointedPerson):
         """Return a named hand shape.
 
         side: "left" or "right".
-        kind: one of HAND_SHAPES.
+        kind: name of the shape, a key of FLEXION.
         rng, jitter_deg: vary every joint by jitter_deg (sd), less where fingers touch.
         """
         touches = kind not in _THUMB
@@ -383,7 +382,7 @@ class Doer:
         """Return a hand shape with random variation.
 
         side: "left" or "right".
-        kind: one of HAND_SHAPES.
+        kind: name of the shape, a key of FLEXION.
         jitter: sd of the variation of each finger joint, degrees.
         """
         return self.puppet.person.shape(side, kind, self.rng, jitter)
@@ -431,11 +430,6 @@ def gesture(
     return frame, annotated(puppet, name, leading)
 
 
-def _palm(do: Doer, side: str) -> float:
-    """Return the length of the palm of a side, m."""
-    return do.puppet.person.hand_axes(side)[2]
-
-
 def _tee(do: Doer) -> Keyframe:
     """Pose "tee": a flat hand on the finger tips of the other, upright hand."""
     side = do.other
@@ -447,7 +441,7 @@ def _tee(do: Doer) -> Keyframe:
     do.puppet.reach(side, upright)
     tip = do.puppet.finger_end(side, 2)
     along, palm = unit(do.way(1, -0.1, 0, 0.08)), unit(do.way(0, 0, -1, 0.08))
-    wrist = tip - along * _palm(do, do.lead) * 1.05 - palm * 0.015
+    wrist = tip - along * person.hand_axes(do.lead)[2] * 1.05 - palm * 0.015
     flat = ArmGoal(wrist, along, palm, do.elbow(-1, 0.2, -0.6), do.shape(do.lead, "flat"))
     return do.keyframe(flat, upright)
 
@@ -475,10 +469,11 @@ def _pause(do: Doer) -> Keyframe:
 
 def _silence(do: Doer) -> Keyframe:
     """Pose "silence": the index finger before the lips."""
-    mouth = do.puppet.carried("head", lips(do.puppet.person))
+    person = do.puppet.person
+    mouth = do.puppet.carried("head", lips(person))
     f, n = unit(do.way(0.12, -0.12, 1, 0.08)), do.way(1, 0.25, 0, 0.12)
     shape = do.shape(do.lead, "point")
-    wrist = mouth - f * (_palm(do, do.lead) + 0.05) + do.way(-0.012, -0.025, 0, 0.006)
+    wrist = mouth - f * (person.hand_axes(do.lead)[2] + 0.05) + do.way(-0.012, -0.025, 0, 0.006)
     goal = ArmGoal(wrist, f, n, do.elbow(-0.8, 0.2, -1), shape)
     do.puppet.reach(do.lead, goal)  # then shifted so that the finger's end segment lies before the lips
     finger = 0.5 * (do.puppet.finger_end(do.lead, 1) + do.puppet.at(f"{do.lead}_index_2"))

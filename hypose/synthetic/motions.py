@@ -85,13 +85,13 @@ def _keyed(
         "forward": 0.006,
         "left": 0.008,
         "pelvis_turn": 1.0,
+        "left_shoulder_flexion": 1.5,
+        "left_shoulder_abduction": 1.0,
+        "left_elbow_flexion": 2.0,
+        "right_shoulder_flexion": 1.5,
+        "right_shoulder_abduction": 1.0,
+        "right_elbow_flexion": 2.0,
     }
-    for side in ("left", "right"):
-        sway |= {
-            f"{side}_shoulder_flexion": 1.5,
-            f"{side}_shoulder_abduction": 1.0,
-            f"{side}_elbow_flexion": 2.0,
-        }
     for c, size in sway.items():
         values[c] = values.get(c, np.zeros_like(t)) + take.drift(t, size)
     return Angles(name, t, values, stance)

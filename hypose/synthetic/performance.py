@@ -92,9 +92,14 @@ class OfPerformance:
     """
 
     performance: Performance
+    subject: SyntheticSubject
 
     def __len__(self) -> int:
         return len(self.performance)
+
+    def vertices(self, index: int) -> Array:
+        """Compute the subject's skin (and clothes) (V, 3) m in frame `index`."""
+        return self.subject.skin(self.performance.rotations[index], self.performance.root[index])
 
     @property
     def times(self) -> Array:

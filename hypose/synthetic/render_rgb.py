@@ -129,11 +129,12 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
     depth = np.full((h, w), np.inf, np.float32)
     if occluder is not None:
         vertices, faces = occluder
-        depth, face, bary = rasterize(camera.project(vertices), camera.depths(vertices), faces, camera.size)
+        drawing = camera.project(vertices), camera.depths(vertices), faces
+        depth, face = rasterize(*drawing, camera.size)
         drawn = face >= 0
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         shade = 0.55 + 0.45 * np.clip(unit(np.cross(b - a, c - a)) @ LIGHT, 0, 1)
-        at = interpolate(face[drawn], bary[drawn], faces, vertices)
+        at = interpolate(face, *drawing, vertices)
         grain = (np.mod(at[:, :2] * [50, 250], 255)).astype(int)
         wood = 1 + 0.12 * middle[grain[:, 1], grain[:, 0]]
         image[drawn] = np.array([60.0, 85.0, 110.0]) * (shade[face[drawn]] * wood)[:, None]
@@ -148,13 +149,11 @@ class Outfit:
     color: (V, 3) BGR per vertex.
     weave: (V,) strength of the cloth's pattern.
     pattern: (3, 3) wave vectors of the pattern, 1/m.
-    gloss: grey levels of the highlight where the surface mirrors the main light.
     """
 
     color: Floats
     weave: Floats
     pattern: Array
-    gloss: float = 0.0
 
 
 def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
@@ -256,19 +255,17 @@ def render_person(
         return
     s = samples
     fine = (uv - [x0, y0] + 0.5) * s - 0.5
-    depth, face, bary = rasterize(fine, z, subject.faces, ((x1 - x0) * s, (y1 - y0) * s))
+    depth, face = rasterize(fine, z, subject.faces, ((x1 - x0) * s, (y1 - y0) * s))
     hidden = backdrop.depth[y0:y1, x0:x1]
     if np.isfinite(hidden).any():
         face = np.where(depth < np.repeat(np.repeat(hidden, s, 0), s, 1), face, np.int32(-1))
     n = vertex_normals(vertices, subject.faces)
     fold = np.sin(subject.vertices @ outfit.pattern.T).sum(1)
     color = outfit.color * (1 + 0.08 * outfit.weave * fold)[:, None]
-    if outfit.gloss > 0:
-        color = color + _highlight(camera, vertices, n, outfit.gloss)[:, None]
     values = np.column_stack([color, n @ LIGHT, n[:, 2]])
     part, drawn = picture[y0:y1, x0:x1], face >= 0
     ambient, direct, sky = (np.float32(x) for x in _LIT)
-    at = interpolate(face[drawn], bary[drawn], subject.faces, values)
+    at = interpolate(face, fine, z, subject.faces, values)
     lit = ambient + direct * np.maximum(at[:, 3:4], 0) + sky * at[:, 4:]
     colour = np.zeros((*face.shape, 3), np.float32)
     colour[drawn] = lit * at[:, :3]
@@ -279,22 +276,6 @@ def render_person(
 
 # Shares of the light: ambient, from the main light, from above.
 _LIT = (0.42, 0.62, 0.10)
-_SHARPNESS = 24
-
-
-def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) -> Array:
-    """Compute the grey levels to add to the vertices' colours, so that a highlight remains after shading (Blinn).
-
-    camera: that sees it.
-    vertices, normals: (V, 3) m and (V, 3), world.
-    gloss: grey levels of the highlight where the surface mirrors the main light.
-    Returns: (V,).
-    """
-    half = unit(unit(camera.position - vertices) + LIGHT)
-    mirrored = np.clip((normals * half).sum(1), 0, 1) ** _SHARPNESS
-    ambient, direct, sky = _LIT
-    shade = ambient + direct * np.clip(normals @ LIGHT, 0, None) + sky * normals[:, 2]
-    return gloss * mirrored / shade
 
 
 def cast_shadow(

@@ -300,8 +300,9 @@ def circle(
     size: tuple[int, int],
     target: ArrayLike = (0.0, 0.0, 0.95),
     distortion: Array | None = None,
+    name: str = "cam",
 ) -> list[Camera]:
-    """Make cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target` (3,) m.
+    """Make cameras (name)1, (name)2, ... on a circle of `radius` m about the z axis that look at `target` (3,) m.
 
     azimuths_deg, heights: degrees and m, of each camera.
     focal_px: focal length, px.
@@ -310,7 +311,7 @@ def circle(
     """
     return [
         look_at(
-            f"cam{k + 1}",
+            f"{name}{k + 1}",
             [radius * np.cos(np.radians(a)), radius * np.sin(np.radians(a)), h],
             target,
             focal_px,
@@ -379,11 +380,6 @@ class Scene(OfPerformance):
     others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     hands_only: bool = False
-
-    def vertices(self, index: int) -> Array:
-        """Compute the subject's skin (and clothes) (V, 3) m in frame `index`."""
-        p = self.performance
-        return self.subject.skin(p.rotations[index], p.root[index])
 
     def delivered(self, view: int, index: int) -> int:
         """Return `index`, or where the camera drops that frame, the last one before that it does not drop."""
@@ -494,11 +490,10 @@ class Scene(OfPerformance):
         index = self.delivered(view, index)
         backdrop, s = self._backdrops[view], self.shown(view, index)
         picture = backdrop.image.copy()
-        people = []
-        for k, ((subject, vertices), (_, p)) in enumerate(zip(self.skins(s), self.people, strict=True)):
-            distance = float(np.linalg.norm(p.root[min(s, len(p) - 1)] - camera.position))
-            people.append((-distance, k, subject, vertices))
-        for _, k, subject, vertices in sorted(people, key=lambda x: x[:2]):  # the farthest first
+        skins = list(self.skins(s))
+        away = [np.linalg.norm(p.root[min(s, len(p) - 1)] - camera.position) for _, p in self.people]
+        for k in np.argsort(-np.array(away), kind="stable"):  # the farthest first
+            subject, vertices = skins[k]
             render_person(picture, backdrop, camera, subject, self._outfits[k], vertices, self.sensor.samples)
         return self._develop(picture, view, float(self.times[s]), index + 1)
 
@@ -625,21 +620,15 @@ def make_scene(
     Raises: InputError for an unknown name.
     """
     known = {} if isinstance(subject, SyntheticSubject) else load_subjects()
-    if isinstance(subject, SyntheticSubject):
-        body = subject
-    elif subject in known:
-        body = known[subject]
-    elif subject == "":
-        body = known[sorted(known)[seed % len(known)]]
-    else:
+    if isinstance(subject, str) and subject and subject not in known:
         raise InputError(f"There is no subject {subject!r}; the subjects are {', '.join(known)}.")
+    body = subject if isinstance(subject, SyntheticSubject) else known[subject or sorted(known)[seed % len(known)]]
     if clothing_m > 0 and body.clothing_m == 0:
         body = dress(body, clothing_m, np.random.default_rng([seed, _CLOTHES]))
-    if isinstance(motion, Performance):
-        performance = motion
-    else:
+    performance = motion
+    if isinstance(performance, str):
         rng = np.random.default_rng([seed, _MOTION])
-        performance = act(motion, body, seconds, frame_rate, rng, amplitude, speed)
+        performance = act(performance, body, seconds, frame_rate, rng, amplitude, speed)
     cameras = camera_rig(rig, distorted=distorted) if isinstance(rig, str) else rig
     what = corruption if isinstance(corruption, Corruptions) else corruptions(*corruption)
     given = disturb_rig(cameras, what.calibration_error, np.random.default_rng([seed, _RIG]))

@@ -30,8 +30,9 @@ from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.frame_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
+from hypose.tracking.frame_evidence import KeypointModel
 from hypose.tracking.joint_features import columns_of_joints, views_apart
+from hypose.tracking.keypoint_offsets import residual_rows
 
 LASTING_S = 0.5
 """s from which two residuals of one point in one view share only their lasting component: errors of detections are
@@ -63,22 +64,12 @@ def lasting_residuals(
     Returns: (C, K) variances per axis, m^2, 0 where there are too few residuals; (T, C, K) weights of the points in the
         solve, 1 / (1 + (r / 2 sd)^2), 0 where not used.
     """
-    first = next(k for k in keypoints if k is not None)
-    residual = np.zeros((len(poses), len(first.rig), len(model.names), 2))
-    weights, scale = np.zeros(residual.shape[:3]), 2 * (_USUAL_SD if model.sd is None else model.sd)
-    places = model.positions(body, poses)
-    for t, seen in enumerate(keypoints):
-        if seen is None:
-            continue
-        points = np.nan_to_num(seen.points)
-        points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
-        size = pixels_per_metre(seen, poses[t, :3])
-        uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
-        points = check_sides_and_views(points, uv, model.names, size, model.known)
-        used = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
-        away = np.where(used[..., None], points[..., :2] - uv, 0.0) / size[:, None, None]
-        weights[t] = used / (1 + (away**2).sum(-1) / scale**2)
-        residual[t] = weights[t][..., None] * away
+    there = [t for t, k in enumerate(keypoints) if k is not None]
+    rows = residual_rows(body, replace(model, view=None), [k for k in keypoints if k is not None], poses[there])
+    away, scale = rows.residual / rows.size[..., None, None], 2 * (_USUAL_SD if model.sd is None else model.sd)
+    weights, residual = np.zeros((len(poses), *away.shape[1:3])), np.zeros((len(poses), *away.shape[1:]))
+    weights[there] = (rows.confidence > 0) / (1 + (away**2).sum(-1) / scale**2)
+    residual[there] = weights[there][..., None] * away
     apart = max(1, min(round(LASTING_S * frame_rate), len(poses) // 2))
 
     def later(values: Array) -> Array:

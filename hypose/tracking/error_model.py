@@ -22,7 +22,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
-from hypose.geometry import Array
+from hypose.geometry import Array, interpolated
 from hypose.tracking.covariance_calibration import with_fitted_joints
 from hypose.tracking.joint_features import AUDITED
 from hypose.tracking.left_right import legs_crossed
@@ -86,7 +86,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     points = np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
-    a |= {n: _carried(a[n]) for n in ("loose", "exchanged")}
+    a |= {n: interpolated(a[n]) for n in ("loose", "exchanged")}
     a["loose"] = np.where(np.isnan(a["loose"]), _USUAL_LOOSE_M, a["loose"])
     a = {n: np.nan_to_num(v) for n, v in a.items()}
     rate, count = motion.frame_rate, motion.joints.shape[:2]
@@ -98,7 +98,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     # frames without a point of the joint get the distance from nearby frames
     gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)
     for n in ("points_median", "points_worst"):
-        a[n] = np.where(gone, _carried(np.where(a["points_views"] > 0, a[n], np.nan)), a[n])
+        a[n] = np.where(gone, interpolated(np.where(a["points_views"] > 0, a[n], np.nan)), a[n])
     against = a["points_against"] / np.maximum(a["points_agree"] ** 2 + a["points_against"], 1.0)
     second = mean_nearby(a["bare_second"], around)
     found = {
@@ -144,16 +144,6 @@ def _pace(joints: Array, rate: float, size: int) -> Array:
     if len(about) < 2:
         return np.full(about.shape[:2], _USUAL_PACE)
     return mean_nearby(np.linalg.norm(np.gradient(about, axis=0), axis=-1) * rate, size)
-
-
-def _carried(values: Array) -> Array:
-    """Fill unknown frames (NaN) of each joint (T, J) by linear interpolation in time; NaN where nothing is known."""
-    out = values.copy()
-    for j in range(values.shape[1]):
-        at = np.flatnonzero(np.isfinite(values[:, j]))
-        if 0 < len(at) < len(values):
-            out[:, j] = np.interp(np.arange(len(values)), at, values[at, j])
-    return out
 
 
 def seconds_away(seen: NDArray[np.bool_], rate: float) -> Array:

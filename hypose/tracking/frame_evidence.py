@@ -33,7 +33,6 @@ from hypose.evidence.cues import (
     PoseMemory,
     SilhouetteEvidence,
     depth_evidence,
-    keypoint_evidence,
     own_evidence,
     silhouette_evidence,
 )
@@ -226,12 +225,32 @@ def check_sides_and_views(
     if (middle <= STRANGER_M).sum() >= 2:
         out[strangers, :, 2] = 0.0
     far = np.nan_to_num(distance) > SWAPPED_M
-    for view in np.flatnonzero(~strangers & far.any(1)):
-        for chain in _CHAINS:
-            pairs = sides_of(names, chain)
-            if far[view, pairs.ravel()].any():  # the mean is only large where one of them is
-                _exchange(out[view], expected[view], pairs, float(size[view]))
+    far[strangers] = False
+    for chain in _CHAINS:
+        pairs = sides_of(names, chain)
+        own, other = pairs.ravel(), pairs[:, ::-1].ravel()
+        if far[:, own].any():  # the mean is only large where one of them is
+            as_named, turned = side_distances(out, expected, size, pairs)
+            exchanged = far[:, own].any(1) & (as_named > SWAPPED_M) & (turned < 0.5 * as_named)
+            out[np.ix_(exchanged, own)] = out[np.ix_(exchanged, other)]
     return out
+
+
+def side_distances(points: Array, expected: Array, size: Array, pairs: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Compute the mean distances (C,), m, of the points of some pairs from where they are expected by their names, and
+    from where the points of the other side are expected.
+
+    points: (C, K, 3), those of confidence 0 do not count; expected: (C, K, 2) px; size: (C,) pixels per metre.
+    pairs: (N, 2) columns of left and right points.
+    Returns: distances, at most _FAR_M for each point; NaN where there are no points.
+    """
+    own, found = pairs.ravel(), []
+    for there in (own, pairs[:, ::-1].ravel()):
+        away = np.linalg.norm(points[:, own, :2] - expected[:, there], axis=-1) / size[:, None]
+        known = (points[:, own, 2] > 0) & np.isfinite(away)
+        with np.errstate(invalid="ignore"):
+            found.append(np.where(known, np.minimum(away, _FAR_M), 0.0).sum(1) / known.sum(1))
+    return found[0], found[1]
 
 
 def sides_of(names: Sequence[str], parts: Sequence[str], known: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
@@ -242,20 +261,6 @@ def sides_of(names: Sequence[str], parts: Sequence[str], known: NDArray[np.bool_
     column = {n: k for k, n in enumerate(names) if known is None or known[k]}
     both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
     return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
-
-
-def _exchange(points: Array, expected: Array, pairs: NDArray[np.int64], size: float) -> None:
-    """Exchange the points (K, 3) of the pairs in place where that is clearly nearer to the expected (K, 2)."""
-    left, right = pairs.T
-
-    def gap(a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-        d = np.linalg.norm(points[a, :2] - expected[b], axis=-1) / size
-        return np.minimum(d, _FAR_M)[(points[a, 2] > 0) & np.isfinite(d)]
-
-    given = np.concatenate([gap(left, left), gap(right, right)])
-    turned = np.concatenate([gap(left, right), gap(right, left)])
-    if len(given) and given.mean() > SWAPPED_M and turned.mean() < 0.5 * given.mean():
-        points[np.concatenate([left, right])] = points[np.concatenate([right, left])]
 
 
 # ---- prepared frames ------------------------------------------------------------------------------------------------
@@ -384,7 +389,8 @@ def prepare(
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
         if term is not None:
-            found.append(keypoint_evidence(term, with_masks(term, model) if masks else term))
+            weaker = with_masks(term, model) if masks else term
+            found.append(KeypointEvidence(np.any(term.points[..., 2] > 0, axis=1), (weaker,), term))
     found += [one for depth in (frame.of(Depth) if masks else ()) for one in depth_evidence(depth)]
     found += [piece.prepared(body) for piece in frame.more]
     found += own_evidence(own, body, frame)

@@ -22,7 +22,6 @@ from hypose.compute.arrays import PreparedMasks
 from hypose.compute.parts import draw_parts, parts_against_mask, projected
 from hypose.evidence.cues import SilhouetteEvidence
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import Limb
 from hypose.geometry import Array
 from hypose.tracking.arm_workspace import ArmReach, ends, in_practice
@@ -178,7 +177,7 @@ def audit_frame(
     for silhouettes in frame.of(Silhouettes):
         if not silhouettes.usable.any():
             continue
-        masks = prepared_masks(silhouettes)
+        masks = silhouettes.prepared
         _masks(body, pose, silhouettes, masks, frame.index % _RARELY == 0, out)
         if frame.fewest_views > 1:
             out[:, AUDITED.index("loose")] = _loose(body, pose, masks, frame.index)

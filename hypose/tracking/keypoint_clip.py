@@ -36,6 +36,7 @@ from hypose.tracking.frame_evidence import (
     keypoint_term,
     pixels_per_metre,
     shows_another_person,
+    side_distances,
     sides_of,
 )
 from hypose.tracking.left_right import limbs_exchanged
@@ -47,7 +48,6 @@ from hypose.tracking.start_search import start_from_keypoints
 
 
 LIMBS = {"legs": ("knee", "ankle", "big_toe", "small_toe", "heel"), "arms": ("elbow", "wrist")}
-_FAR_M = 0.5  # m, larger distances are cut off
 _MEETING, _APART, _APART_M = 8.0, 24.0, 0.5
 """views: cost of an exchange where two limbs touch, and the extra cost where they are _APART_M apart. Half a second in
 which, by chance, one view more has the other side's names than not is worth 12, and has two ends."""
@@ -98,19 +98,8 @@ def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Arr
     Returns: views on the other side; views on their own side. Views where both fit alike count as neither.
     """
     pairs, seen = sides_of(model.names, LIMBS[limb], model.known), np.nan_to_num(points)
-    if not len(pairs):
-        return 0, 0
-    there = (seen[..., 2] > MIN_CONFIDENCE) & np.isfinite(expected).all(-1)
-
-    def gap(named: NDArray[np.int64], body: NDArray[np.int64]) -> Array:
-        """Compute the mean distance (C,), m, of points from the given places on the body; NaN where there are none."""
-        both = there[:, named] & np.isfinite(expected[:, body]).all(-1)
-        d = np.linalg.norm(seen[:, named, :2] - expected[:, body], axis=-1) / size[:, None]
-        count = both.sum(1)
-        return np.where(count > 0, np.where(both, np.minimum(d, _FAR_M), 0.0).sum(1) / np.maximum(count, 1), np.nan)
-
-    own, other = pairs.ravel(), pairs[:, ::-1].ravel()
-    as_named, exchanged = gap(own, own), gap(own, other)
+    seen[~(seen[..., 2] > MIN_CONFIDENCE)] = 0.0
+    as_named, exchanged = side_distances(seen, expected, size, pairs)
     renamed = (as_named > SWAPPED_M) & (exchanged < 0.5 * as_named)
     kept = (exchanged > SWAPPED_M) & (as_named < 0.5 * exchanged)
     return int(renamed.sum()), int(kept.sum())
@@ -136,6 +125,7 @@ _LOOK_EVERY = 5  # frames between two searches of the whole space, which are slo
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) does not determine the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
+_SETTINGS = ClipSettings()
 _ALL = SolveSettings(iterations=8, coarse_iterations=0)
 
 Report = Callable[[int, int], None]
@@ -147,18 +137,18 @@ def solve_keypoint_clip(
     keypoints: Sequence[Keypoints | None],
     start: Array,
     frame_rate: float,
-    settings: ClipSettings | None = None,
+    settings: ClipSettings = _SETTINGS,
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """Solve the poses of a clip from its key points alone.
 
-    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: the usual ones).
     model: where key points sit on the body; keypoints: T frames, None where there are none.
     start: (D,) pose in the first frame.
     Returns: poses (T, D); the key-point term of each frame, None where there is no evidence.
     """
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate)
     evidence = [[] if term is None else [term] for term in terms]
-    return _together(body, first, evidence, frame_rate, settings or ClipSettings()), terms
+    return _together(body, first, evidence, frame_rate, settings), terms
 
 
 def track_keypoint_clip(
@@ -167,7 +157,7 @@ def track_keypoint_clip(
     keypoints: Sequence[Keypoints | None],
     start: Array,
     frame_rate: float,
-    settings: ClipSettings | None = None,
+    settings: ClipSettings = _SETTINGS,
     progress: Report | None = None,
     *,
     sure_start: bool = False,
@@ -175,7 +165,7 @@ def track_keypoint_clip(
 ) -> Smoothed:
     """Compute the smoothed motion of a clip from its key points alone.
 
-    frame_rate: Hz; settings: limits on accelerations and speeds (default: ClipSettings()).
+    frame_rate: Hz; settings: limits on accelerations and speeds (default: the usual ones).
     model: joint and offset of each key point on the body.
     keypoints: key points of the T frames; None where there are none.
     start: (D,) pose in the first frame; sure_start: it is the right way round, even where the points' names contradict
@@ -186,7 +176,6 @@ def track_keypoint_clip(
     second); their sd grows with the distance from these.
     Raises: EvidenceError where fewer than two frames have enough points.
     """
-    settings = settings or ClipSettings()
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress, sure_start=sure_start)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
     known = np.array([points.any(0).sum() >= LEAST_POINTS for points in seen])

@@ -30,7 +30,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.terms import PointTerm, Term
 from hypose.fitting import Quadratic, SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
-from hypose.geometry import Array, nearest_branch, runs
+from hypose.geometry import Array, interpolated, nearest_branch, runs
 from hypose.tracking.covariance_calibration import pose_covariance
 from hypose.tracking.refinement import unpacked
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
@@ -59,6 +59,7 @@ class ContactSettings:
     hold: float = 0.01
 
 
+_CONTACTS = ContactSettings()
 _SOLES = ("left_heel", "left_ball", "right_heel", "right_ball")
 
 
@@ -97,16 +98,15 @@ class Contacts:
 
 
 def find_contacts(
-    positions: Array, known: NDArray[np.bool_], frame_rate: float, settings: ContactSettings | None = None
+    positions: Array, known: NDArray[np.bool_], frame_rate: float, settings: ContactSettings = _CONTACTS
 ) -> Contacts:
     """Find the contacts of the soles' points in a smooth motion.
 
-    frame_rate: Hz; settings: limits of a contact (default: ContactSettings()).
+    frame_rate: Hz; settings: limits of a contact (default: the usual ones).
     positions: (T, 4, 3) m.
     known: (T,) false for frames without evidence, which have no contacts.
     """
-    o = settings or ContactSettings()
-    t = len(positions)
+    o, t = settings, len(positions)
     speed = np.linalg.norm(np.gradient(positions, 1 / frame_rate, axis=0), axis=-1) if t > 1 else np.zeros((t, 4))
     shortest = max(2, round(o.shortest * frame_rate))
     touching = np.stack([_runs_of((s < o.fast) & known, s < o.slow, 1) for s in speed.T], 1)
@@ -127,18 +127,6 @@ def find_contacts(
                     middle[2] = max(middle[2], floor)  # a heel may be raised, but nothing sinks
                 place[a:b, k] = middle
     return Contacts(touching, place, floor)
-
-
-def contact_terms(contacts: Contacts, soles: Landmarks) -> list[list[PointTerm]]:
-    """Build the solver terms that hold the soles at their contacts.
-
-    soles: the four points on the body (`soles_of`).
-    Returns: one list of terms per frame; empty where no point is in contact.
-    """
-    return [
-        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], ContactSettings.hold)]
-        for on, place in zip(contacts.touching, contacts.place, strict=True)
-    ]
 
 
 def sliding(positions: Array, contacts: Contacts, frame_rate: float) -> float:
@@ -211,6 +199,7 @@ class ClipSettings:
     rounds: int = 4
 
 
+_CLIP = ClipSettings()
 _PACE_S = 0.1
 """s before and after a frame in which its pace is measured"""
 _EXCESS = 2.0
@@ -299,17 +288,16 @@ def smooth_poses(
     poses: Array,
     information: Array,
     frame_rate: float,
-    settings: ClipSettings | None = None,
+    settings: ClipSettings = _CLIP,
     contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
     """Solve the poses (T, D) of a clip from those of its frames and the information on each.
 
-    frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
+    frame_rate: Hz; settings: limits and windows (default: the usual ones).
     poses: (T, D) pose vectors, rad and m; ignored in frames without evidence.
     information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
     contacts: points that stand still, per frame.
     """
-    settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
     evidence = [[Gaussian(q, i)] * k for q, i, k in zip(given, information, known.tolist(), strict=True)]
@@ -319,17 +307,16 @@ def smooth_poses(
 
 
 def gap_covariance(
-    body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings | None = None
+    body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings = _CLIP
 ) -> Array:
     """Compute the extra covariance (T, J, 3, 3) of the joint centres, m^2, in frames without evidence; 0 in the
     others.
 
-    poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: ClipSettings()).
+    poses: (T, D) solved clip; frame_rate: Hz; settings: limits and windows (default: the usual ones).
     The covariance grows with the distance from the frames with evidence, because only the coupling to them limits
     it.
     information: (T, D, D) inverse covariance of each frame's pose; zero in frames without evidence.
     """
-    settings = settings or ClipSettings()
     weight, slow = pace_weights(usual_pace(body.skeleton, settings), frame_rate)
     out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
     blind = ~np.asarray(information.any((1, 2)))
@@ -449,7 +436,7 @@ class Smoothed:
         return tuple(said)
 
 
-def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings | None = None) -> Smoothed:
+def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings = _CLIP) -> Smoothed:
     """Solve a tracked motion again as one clip.
 
     information: (T, D (D + 1) / 2) packed inverse covariance of each frame's pose (`PoseUncertainty.information`).
@@ -457,7 +444,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
         distance from the others. Soles that stand are held, and all is solved again.
     """
     assert motion.poses is not None
-    settings, rate = settings or ClipSettings(), motion.frame_rate
+    rate = motion.frame_rate
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
         return Smoothed(motion, 0.0, 0.0, 0.0, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof)))
@@ -485,18 +472,15 @@ def with_feet(
     known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
     soles = soles_of(body)
     contacts = find_contacts(soles.positions(body, free), known, rate)
-    poses = held(contact_terms(contacts, soles))
+    standing = [
+        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], ContactSettings.hold)]
+        for on, place in zip(contacts.touching, contacts.place, strict=True)
+    ]
+    poses = held(standing)
     spread = gap_covariance(body, poses, own, rate, settings)
-    around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
+    seen = np.where(known[:, None, None, None], motion.joint_covariance, np.nan)
+    around = (interpolated(seen) + spread).astype(np.float32)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
     before, after = (sliding(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
     share = float(contacts.touching.any(1).mean())
     return Smoothed(smoothed, share, before, after, motion.poses, pose_covariance(own))
-
-
-def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:
-    """Interpolate the covariances (T, J, 3, 3) of known frames linearly in time."""
-    at = np.flatnonzero(known)
-    columns = covariance.reshape(len(covariance), -1).T
-    carried = np.stack([np.interp(np.arange(len(covariance)), at, column[at]) for column in columns], 1)
-    return carried.reshape(covariance.shape)

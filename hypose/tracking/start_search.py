@@ -510,9 +510,6 @@ _ONE_ARM = ("up", "forward", "sideways")
 """Postures of one arm alone, for a person who stands or sits."""
 
 
-_SIDES = ("left", "right")
-
-
 @lru_cache(4)
 def postures(body: Body) -> Array:
     """Build the start postures (N, D) of a body at the origin, facing -y, within its limits; cached per body."""
@@ -548,7 +545,7 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
             wanted[b] = wanted[a] + np.linalg.norm(rest[b] - rest[a]) * d
     start = np.zeros(s.dof)
     start[3] = np.radians(lean)
-    for side in _SIDES:  # bent knees and hips to begin with: straight ones may bend either way
+    for side in ("left", "right"):  # bent knees and hips to begin with: straight ones may bend either way
         start[s.dofs_of(f"{side}_hip")[0]] = -0.4
         start[s.dofs_of(f"{side}_knee")] = 0.4
     return with_joints_at(body, wanted, s.clamp(start), 0.05)

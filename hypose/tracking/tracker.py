@@ -270,8 +270,9 @@ class Tracker:
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = prepared.silhouettes.overlap(self.body, pose)
         recovered, held = bool(np.isfinite(gain)), lost and pose is not searched
-        if not lost and np.isnan(gain):
-            gain = self._rival_gain(state, pose, prepared)
+        look, seldom = recipe.recover and recipe.recover.rival, RIVAL_WITH_DEPTH if prepared.depth.seen else 1
+        if look is not None and not lost and np.isnan(gain) and prepared.silhouettes.seen:
+            gain = look(pose, prepared)[0] if self._has_look(state, seldom) else gain
         rivals, weights = self._rivals(None if lost else selected)
         views = view_count(prepared)
         # a person who is not there keeps the last pose, with the hypotheses of before
@@ -292,13 +293,19 @@ class Tracker:
         return self._within(state.pose + step)
 
     def _ahead(self, state: TrackerState) -> tuple[TrackerState, Array]:
-        """Put the state on its pose's branch, and predict the next step (D,)."""
-        state = self._on_canonical_branch(state)
-        last_step = state.pose - self.body.skeleton.on_branch(state.previous, state.pose)
+        """Put the state's rotation vectors on the canonical branch of its pose, and predict the next step (D,).
+
+        Recipes that do not predict keep their state, because a velocity belongs to the branch that it was seen on.
+        """
+        s, predict = self.body.skeleton, self.recipe.predict
+        alone = np.zeros(s.dof)
+        if predict is None:
+            return state, alone
+        pose = s.canonical(state.pose)
+        previous, h = s.on_branch(state.previous, pose), state.hypotheses
+        state = replace(state, pose=pose, previous=previous, hypotheses=h.at(s.on_branch(h.values, pose)))
         # after a loss the last step is not a motion of the person
-        alone = np.zeros_like(last_step)
-        predict = self.recipe.predict
-        return state, alone if predict is None else predict(alone if state.lost else last_step, state.blind)
+        return state, predict(alone if state.lost else pose - previous, state.blind)
 
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
@@ -341,17 +348,6 @@ class Tracker:
             tried.append(how.rival(pose, prepared)[1])
         return tried[int(np.argmax([agreement(self.body, q, prepared) for q in tried]))]
 
-    def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """Compute the gain of a rival, in its turn and where there are silhouettes; else NaN.
-
-        pose: (D,) estimate; prepared: the frame; state: before the frame.
-        """
-        look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        seldom = RIVAL_WITH_DEPTH if prepared.depth.seen else 1
-        if look is None or not prepared.silhouettes.seen or not self._has_look(state, seldom):
-            return float("nan")
-        return look(pose, prepared)[0]
-
     def _has_look(self, state: TrackerState, times: int = 1) -> bool:
         """Decide whether a search for a rival is due; `times` as seldom."""
         return state.frames % max(1, round(times * self.settings.rival_every * self.settings.frame_rate)) == 0
@@ -387,22 +383,6 @@ class Tracker:
     def _within(self, poses: Array) -> Array:
         """Clamp poses (..., D) to the limits, unless the recipe's layers do that."""
         return poses if self.recipe.predict is None else self.body.skeleton.clamp(poses)
-
-    def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
-        """Put the rotation vectors of the state on the canonical branch of its pose; unchanged for recipes that do not
-        predict.
-        """
-        s = self.body.skeleton
-        if self.recipe.predict is None:
-            return state  # a velocity belongs to the branch that it was seen on
-        pose = s.canonical(state.pose)
-        values = s.on_branch(state.hypotheses.values, pose)
-        return replace(
-            state,
-            pose=pose,
-            previous=s.on_branch(state.previous, pose),
-            hypotheses=state.hypotheses.at(values),
-        )
 
     def prepare_frame(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
         """Prepare a frame for a search around the predicted pose (D,); state: after the previous frame."""

@@ -15,8 +15,9 @@ import pytest
 
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.batch import COLUMNS, ordered_tasks, read_table, run_batch, run_task, write_table
+from hypose.app.batch import ordered_tasks, read_table, run_batch, run_task
 from hypose.app.options import TrackCommand
+from hypose.app.reports.report_parts import write_csv
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.conftest import HANG_S
@@ -102,6 +103,18 @@ def test_a_bad_recording_does_not_stop_the_others(hypose, study, tmp_path):
     assert code == 1 and "1 refused" in out and "nowhere, default: " in err
 
 
+def test_a_recording_keeps_options_and_wrong_ones_refuse_it_alone(study, tmp_path):
+    for name, line in (("right", "seed = 7"), ("wrong", "seed = -1")):
+        toml = shutil.copytree(study / "short", tmp_path / name) / "recording.toml"
+        toml.write_text(toml.read_text() + f"\n[track]\n{line}\n")
+    path = tmp_path / "study.csv"
+    path.write_text("recording,seed\nright,\nright,3\nwrong,\n")
+    tasks, refused = ordered_tasks(read_table(path), tmp_path / "out")
+    assert sorted(t.command.seed for t in tasks) == [3, 7]  # the table comes first
+    (one,) = refused
+    assert one["recording"] == "wrong" and "wrong/recording.toml, track: seed" in one["message"]
+
+
 @pytest.mark.parametrize("given", ["table", "folders"])
 def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path, given):
     paths = [table(study, tmp_path)] if given == "table" else sorted(study.iterdir())
@@ -110,14 +123,11 @@ def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path, given):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_table_has_every_task_and_no_formula(tmp_path):
-    done = {"recording": "long", "state": "done", "frames": 60, "iou": 0.9123456789, "notes": ["not in the table"]}
-    write_table([done, {"recording": "=cmd()", "state": "failed", "message": "broken"}], tmp_path)
-    with (tmp_path / "results.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS and len(rows) == 2
-    assert rows[0]["iou"] == "0.912346" and rows[0]["recording"] == "long"
-    assert rows[1]["recording"] == "'=cmd()"
+def test_a_table_has_no_formula_and_empty_cells_for_the_unknown(tmp_path):
+    rows = [("long", 60, 0.912345678, None), ("=cmd()", 0, float("nan"), "broken")]
+    write_csv(tmp_path / "results.csv", ["recording", "frames", "iou", "message"], rows)
+    lines = (tmp_path / "results.csv").read_text().splitlines()
+    assert lines == ["recording,frames,iou,message", "long,60,0.91234568,", "'=cmd(),0,,broken"]
 
 
 # ---- running ---------------------------------------------------------------------------------------------------

@@ -2,14 +2,12 @@
 
 import re
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
 
 from hypose.app.reports.report import report_html
-from hypose.app.reports.report_parts import LEFT_COLOUR, Axes, chart
 from hypose.app.reports.result_pictures import mask_outline
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.default_body import human
@@ -77,15 +75,15 @@ def result(tracked, tiny):
     return load_motion(tracked / "motion.npz"), load_body(tracked / "body.npz"), load_recording(tiny)
 
 
-def test_the_report_holds_charts_pictures_and_origin_and_loads_nothing(tracked):
+def test_the_report_holds_pictures_and_origin_and_loads_nothing(tracked):
     page = (tracked / "report.html").read_text()
     assert "default-src 'none'" in page and not re.search(r"<script[^>]*\bsrc", page)
     page = re.sub(r"<script.*?</script>|<style.*?</style>", "", page, flags=re.DOTALL)
     targets = re.findall(r'(?:src|href|action|data|poster)\s*=\s*"([^"]*)"', page)
     assert targets and all(t.startswith(("data:", "#")) for t in targets)
     assert not re.search(r"@import|url\(\s*['\"]?(?!#)|<script|<iframe", page)
-    assert page.count("<svg") == 3 and page.count("data:image/jpeg;base64,") >= 4
-    assert all(text in page for text in ("knee flexion", "stature", "sha256", "motion.c3d", "Gauss-Newton"))
+    assert page.count("data:image/jpeg;base64,") >= 4
+    assert all(text in page for text in ("stature", "sha256", "motion.c3d", "Gauss-Newton"))
 
 
 def test_the_report_says_what_went_wrong(result):
@@ -134,26 +132,3 @@ def test_the_overlay_marks_the_person(tracked, tiny):
     rows, columns = np.nonzero(changed[20:])  # below the view's name
     assert 40 < len(rows) < 0.2 * changed.size
     assert np.ptp(columns) < 60
-
-
-# ---- charts
-
-
-def test_any_name_may_stand_in_a_chart():
-    axes = Axes("\x1b[31mMädchen 走る\x07 <b>", "a & b")
-    axes.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), LEFT_COLOUR, "\x1b<i>")
-    found = ElementTree.fromstring(chart([[axes]], 200)).iter("{http://www.w3.org/2000/svg}text")
-    texts = ["".join(e.itertext()) for e in found]
-    assert "\\x1b[31mMädchen 走る\\x07 <b>" in texts and "a & b" in texts and "■ \\x1b<i>" in texts
-
-
-@pytest.mark.parametrize("values", [[], [np.nan, np.nan], [2.0, 2.0], [1e-7, np.nan, 3e5], [-1e6, 1e6]])
-def test_any_values_make_a_chart(values):
-    y = np.array(values)
-    axes = Axes(x="x", y="y")
-    axes.line(np.arange(len(y)), y, LEFT_COLOUR)
-    axes.band(np.arange(len(y)), y - 1, y + 1, LEFT_COLOUR)
-    axes.stretch(0.2, 0.4, LEFT_COLOUR, "lost")
-    picture = chart([[axes, Axes()]], 200)
-    ElementTree.fromstring(picture)
-    assert "nan" not in picture and "inf" not in picture

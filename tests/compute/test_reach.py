@@ -40,7 +40,7 @@ def scores(p, w, r, c, prepared, rest):
         at = np.floor(x[..., :2] / np.where(front, x[..., 2], 1.0)[..., None] + 0.5)
         seen = front & (at >= 0).all(-1) & (at < prepared.sizes[k]).all(-1)
         u, v = (np.where(seen, at[..., i], 0).astype(np.int64) for i in (0, 1))
-        mask = prepared.open_masks[k, v, u] != 0
+        mask = (prepared.masks[k, v, u] != 0) | reference.ignored_pixels(prepared)[k, v, u]
         drawn = (rest.bits[k, v, u >> 3] >> (u & 7).astype(np.uint8)) & 1 > 0
         out += (seen * w * np.where(mask, np.where(drawn, 0.0, -1.0), 1.0)).sum(1)
     return out

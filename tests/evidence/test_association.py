@@ -86,7 +86,7 @@ def test_whom_one_view_alone_sees_is_nobody():
     (person,) = people_of(frames, BODY_25, RIG)
     assert error(person, A) < 0.02
     found = one_person(frames, BODY_25, RIG)
-    assert found.by_rays and not found.apart and "only one view" in found.notes[0]
+    assert found.people and not found.apart and "only one view" in found.notes[0]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
@@ -120,7 +120,7 @@ def test_who_returns_is_the_same_person():
     for f in frames[8:30]:
         f[:] = [None] * 4
     found = one_person(frames, BODY_25, RIG)
-    assert found.by_rays and found.people[0].first == 0 and found.people[0].last == FRAMES - 1
+    assert found.people and found.people[0].first == 0 and found.people[0].last == FRAMES - 1
 
 
 def _moved(rig, view, degrees):

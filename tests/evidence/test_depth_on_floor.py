@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.evidence.depth_background import people_on_floor, unlike_people
+from hypose.evidence.depth_background import person_on_floor, unlike_people
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble
@@ -34,7 +34,7 @@ def test_everybody_is_found_where_the_room_is_not_known(company, view):
     stands = whole < replace(company, others=()).clean_map(view, 8)[0] - 0.01
     room = unlike_people(maps, camera)
     people = (walks > 0) | stands
-    assert iou(people_on_floor(maps[4], camera, room), people) > 0.85
+    assert iou(person_on_floor(maps[4], camera, room, several=True), people) > 0.85
     # who does not move is no part of the room; walls are
     assert stands.sum() > 1500 and (room[stands] > 0).mean() < 0.1
     walls = ((maps[4] > 0) & ~people)[: camera.size[1] // 4]
@@ -45,5 +45,5 @@ def test_a_box_that_stands_still_is_nobody(company):
     camera = company.rig[0]
     maps = [company.depth_map(0, t) for t in range(0, FRAMES, 2)]
     box = company.clean_map(0, 8)[0] < replace(company, furniture=()).clean_map(0, 8)[0] - 0.01
-    found = [people_on_floor(maps[4], camera, room)[box] for room in (None, unlike_people(maps, camera))]
+    found = [person_on_floor(maps[4], camera, room, several=True)[box] for room in (None, unlike_people(maps, camera))]
     assert box.sum() > 800 and found[0].mean() > 0.5 and found[1].mean() < 0.1

@@ -55,7 +55,7 @@ def test_pixels_belong_to_whose_body_is_nearest(scene, who):
     assert mask[owners[who]].mean() > 0.97 and mask[others].mean() < 0.02
     assert np.array_equal(own.depth.person, own.silhouettes.masks)
     assert np.array_equal(own.depth.maps, frame.depth.maps)  # nobody is before what was seen of the others either
-    assert np.linalg.norm(own.depth.centre[:2] - PLACES[who]) < 0.2
+    assert np.linalg.norm(np.median(own.depth.surface.points, axis=0)[:2] - PLACES[who]) < 0.2
 
 
 def test_others_before_a_person_say_nothing_of_them_and_others_behind_do():

@@ -15,7 +15,7 @@ def test_a_place_that_is_kept_is_left_out_from_its_second_frame_on(rng):
     column = moving(rng)
     for t in range(8, 13):
         column[t][0, 4, [0, 1, 3, 4]] = column[7][0, 4, [0, 1, 3, 4]]
-    out, count = without_held(column, 3)
+    out, count = without_held(column)
     assert count == 5
     confidence = np.stack([p[0, :, 2] for p in out])
     assert not confidence[8:13, 4].any()
@@ -26,6 +26,6 @@ def test_a_place_that_is_kept_is_left_out_from_its_second_frame_on(rng):
 def test_two_frames_alike_and_a_view_that_stands_still_tell_nothing(rng):
     column = moving(rng)
     column[8][0, 4, 3:] = column[7][0, 4, 3:]
-    assert without_held(column, 3)[1] == 0
+    assert without_held(column)[1] == 0
     still = [column[0].copy() for _ in range(20)]
-    assert without_held(still, 3)[1] == 0
+    assert without_held(still)[1] == 0

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.evidence.prefetch import look_ahead, outlines
+from hypose.evidence.prefetch import look_ahead
 from tests.capsule_person import ring
 
 
@@ -22,7 +22,7 @@ def frames(n=4, size=(200, 160)):
 
 def test_outlines_made_ahead_are_those_made_at_once():
     for frame, same in zip(look_ahead(frames()), frames(), strict=True):
-        a, b = (outlines(f.silhouettes, working_height=WORKING_HEIGHT) for f in (frame, same))
+        a, b = (f.silhouettes.outlines for f in (frame, same))
         assert frame.index == same.index
         for field in ("distance", "points", "found", "extent", "shrunk", "sizes", "corners"):
             np.testing.assert_array_equal(getattr(a, field), getattr(b, field))
@@ -30,7 +30,7 @@ def test_outlines_made_ahead_are_those_made_at_once():
 
 def test_distances_for_tracking_are_the_whole_ones_around_the_person():
     silhouettes = frames(1)[0].silhouettes
-    whole, around = outlines(silhouettes), outlines(silhouettes, working_height=WORKING_HEIGHT)
+    whole, around = silhouettes.outlined(), silhouettes.outlined(working_height=WORKING_HEIGHT)
     for c in range(2):
         (x, y), (w, h) = around.corners[c], around.sizes[c]
         assert w < 200 or h < 160
@@ -41,8 +41,8 @@ def test_distances_for_tracking_are_the_whole_ones_around_the_person():
 @pytest.mark.parametrize("factor", [1.5, 2, 2.5, 3])
 def test_shrunk_outlines_lie_where_the_whole_ones_do(factor):
     silhouettes = frames(1)[0].silhouettes
-    small = outlines(silhouettes, working_height=int(70 / factor))
-    whole = outlines(silhouettes)
+    small = silhouettes.outlined(working_height=int(70 / factor))
+    whole = silhouettes.outlined()
     for c in range(2):
         assert small.shrunk[c] == max(1, 2 * (50, 70)[c] // int(70 / factor) / 2)
         points = (small.points[c] + 0.5) * small.shrunk[c] - 0.5

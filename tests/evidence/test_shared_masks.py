@@ -11,9 +11,7 @@ from hypose.compute.scorer import silhouette_xor
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import visual_hull
-from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.people import Other, own_frame, without
-from hypose.evidence.prefetch import outlines, prepared_masks
 from hypose.pipeline.track_loop import body_shape
 from hypose.synthetic.scenes import make_scene
 from tests import reference
@@ -38,7 +36,7 @@ def test_the_scorer_counts_nothing_where_pixels_are_ignored(body, pair):
     poses, shapes, silhouettes = pair
     own = own_frame(Frame(0.0, 0, silhouettes), shapes[0], [Other(shapes[1])]).the(Silhouettes)
     assert own.ignored is not None
-    prepared = prepared_masks(own)
+    prepared = own.prepared
     tried = np.stack([poses[0], poses[0] + 0.03, poses[1]])
     arm = np.array([name.startswith("left_") for name in body.skeleton.joint_names])
     found = silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
@@ -56,7 +54,7 @@ def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
     _, shapes, silhouettes = pair
     own = own_frame(Frame(0.0, 0, silhouettes), shapes[0], [Other(shapes[1])]).the(Silhouettes)
     assert own.ignored is not None
-    made = outlines(own, working_height=WORKING_HEIGHT)
+    made = own.outlines
     for c in np.flatnonzero(own.ignored.any((1, 2))):
         assert (made.distance[c] >= NOT_KNOWN).any()
         kept = made.points[c][made.points[c][:, 0] > -1e5]

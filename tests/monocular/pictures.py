@@ -39,10 +39,11 @@ def picture(body, pose, view: Camera, background, seed=0):
     color = np.array([60.0, 50, 90]) + 20 * (part[:, None] % 3) * [1, 0.3, -0.5] + 12 * waves[:, None]
     v = body.skin(pose, body.fine)
     h = v @ view.projection[:, :3].T + view.projection[:, 3]
-    _, face, bary = rasterize(h[:, :2] / h[:, 2:], h[:, 2], body.fine.faces, view.size)
+    drawing = h[:, :2] / h[:, 2:], h[:, 2], body.fine.faces
+    _, face = rasterize(*drawing, view.size)
     out = background.copy()
     shown = face >= 0
-    out[shown] = interpolate(face[shown], bary[shown], body.fine.faces, color)
+    out[shown] = interpolate(face, *drawing, color)
     out = cv2.GaussianBlur(out, (0, 0), 0.6) + rng.normal(0, 1.5, out.shape)
     return np.clip(out, 0, 255).astype(np.uint8)
 

@@ -17,13 +17,13 @@ from hypose.fusion.swarm import (
     MEDIUM,
     PUBLISHED,
     PUBLISHED_RULES,
-    MergedWheel,
     NoiseRules,
     SwarmFrame,
     SwarmSettings,
     confidence_step,
     depth_error,
     energy,
+    merged_wheel,
     normalised,
     ride,
     start_confidence,
@@ -210,10 +210,10 @@ def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
     with np.errstate(divide="ignore"):
         log_shares = np.log(shares)
     h = Hypotheses(np.arange(candidates * 3.0).reshape(1, candidates, 3), log_shares, np.zeros((1, candidates)))
-    wheel, total = MergedWheel(300), np.zeros(candidates)
+    total = np.zeros(candidates)
     squares = np.zeros(candidates)
     for _ in range(400):
-        drawn = wheel(h, rng)
+        drawn = merged_wheel(h, rng, 300)
         copies = np.zeros(candidates)
         used = drawn.origin[0] >= 0
         copies[(drawn.values[0, used, 0] / 3).round().astype(int)] = np.exp(drawn.log_weights[0, used]) * 300
@@ -232,7 +232,7 @@ def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
 def test_universal_sampling_gives_each_candidate_its_share_up_to_one(rng):
     shares = rng.random((4, 50)) + 0.1
     h = Hypotheses(rng.normal(size=(4, 50, 3)), np.log(shares), np.zeros((4, 50), dtype=np.int32))
-    drawn = MergedWheel(1000, universal=True)(h, rng)
+    drawn = merged_wheel(h, rng, 1000, universal=True)
     assert drawn.values.shape == h.values.shape
     counts, expected = 1000 * np.exp(drawn.log_weights), 1000 * shares / shares.sum(1, keepdims=True)
     np.testing.assert_allclose(counts.sum(1), 1000)

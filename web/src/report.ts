@@ -3,6 +3,7 @@ import { readBundle, type ViewData } from "./lib/bundle";
 import { suitCanvases } from "./lib/software";
 import { button } from "./ui/buttons";
 import { startTheme, themeButton } from "./ui/theme";
+import type { Gait } from "./view/cycles";
 import { ResultView } from "./view/result";
 import type { Outlines, RowPictures, Source } from "./view/source";
 import "./style.css";
@@ -19,9 +20,12 @@ interface StoredPictures {
 /** What the page itself carries; pictures of some frames only. */
 class PageSource implements Source {
   readonly id = null;
+  readonly gait?: () => Promise<Gait>;
   private readonly stored: StoredPictures;
 
   constructor() {
+    const gait = text("hypose-gait"); // absent where nobody walks
+    if (gait) this.gait = async () => JSON.parse(gait) as Gait;
     this.stored = JSON.parse(text("hypose-pictures") || '{"rows":[],"files":[]}') as StoredPictures;
   }
 

@@ -22,7 +22,7 @@ await walk(async ({ page, address, picture }) => {
   });
   assert.ok(Math.max(...longest) > 1.05 * Math.min(...longest), "a ball, where the result knows an ellipsoid");
   // the text below can be read and printed without the viewer
-  for (const title of ["How well the body fits the images", "Joint angles", "Subject", "Files", "How this was made"]) {
+  for (const title of ["Pictures", "Subject", "Files", "How this was made"]) {
     await page.locator(".report").getByRole("heading", { name: title }).first().waitFor();
   }
   // below the viewer the space key scrolls as on any page

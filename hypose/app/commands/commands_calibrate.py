@@ -222,7 +222,7 @@ def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, 
     people = candidates_of(few, few.rig)
     points = np.zeros((len(few.views), len(few.frames), len(names), 3))
     for c, view in enumerate(points):
-        for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):
+        for t, found in enumerate(without_held([frame[c] for frame in people])[0]):
             if found is not None and len(found):
                 view[t] = max(found[..., [3, 4, 2]], key=lambda p: float(p[:, 2].sum()) * person_size(p))
     return points, names

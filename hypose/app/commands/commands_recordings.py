@@ -1,4 +1,4 @@
-"""`hypose init`, `demo`, `synth`, `depth-import`, `silhouettes`, `keypoints`, `correct`, `batch` and `warm-up`: make
+"""`hypose init`, `demo`, `synth`, `depth-import`, `silhouettes`, `keypoints`, `batch` and `warm-up`: make
 recordings, detect evidence in them, and track them in special ways.
 """
 
@@ -20,7 +20,7 @@ from hypose.app.commands.console import Stages, counted, print_note, print_notes
 from hypose.app.options import SynthCommand, TrackCommand
 from hypose.errors import EvidenceError, InputError
 from hypose.io.files import claimed, natural_key, toml_text, write_text
-from hypose.options import MOST_FRAMES, Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
+from hypose.options import Formats, FrameSpan, Option, RecordingPath, Resume, Seconds, Seed, Threads, Yes
 
 _GO_ON = "Stopped. Go on with the same command."
 
@@ -152,7 +152,7 @@ def synth(c: SynthCommand) -> None:
 def depth_import(
     sources: Annotated[
         tuple[Path, ...],
-        Option("One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps.", argument=True),
+        Option("One per camera: Azure Kinect .mkv, RealSense .bag, or a folder of maps.", argument=True),
     ],
     out: Annotated[Path, Option("New folder for the recording.")],
     empty: Annotated[
@@ -250,35 +250,6 @@ def demo(
     )
 
 
-def correct(
-    results: Annotated[Path, Option("Results folder of hypose track.", argument=True)],
-    clicks: Annotated[Path, Option("The corrected pose: starts/NAME.json, saved in hypose view.", argument=True)],
-    until: Annotated[
-        int | None, Option("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
-    ] = None,
-    out: Annotated[Path | None, Option("Results folder. [default: RESULTS-corrected]")] = None,
-    formats: Formats = "trc,c3d,bvh,glb,csv,mot",
-    threads: Threads = None,
-) -> None:
-    """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
-    from hypose.app.jobs.correct import corrected_motion, read_correction
-    from hypose.app.jobs.job import split_names
-    from hypose.app.reports.report_parts import require_found
-    from hypose.app.studio.view_bundle import find_recording
-
-    recording = find_recording(results)
-    if recording is None:
-        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
-    folder = out or results.with_name(f"{results.name}-corrected")
-    correction = read_correction(clicks)
-    with claimed(folder), Stages() as progress:
-        about = {"until": until, "formats": split_names(formats), "progress": progress}
-        motion = corrected_motion(recording, results, correction, folder, **about)
-    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
-    say(f"Results: {folder}")
-    require_found(motion, recording.name, folder)
-
-
 def warm_up_command(threads: Threads = None) -> None:
     """Compile what tracking, fusion and live tracking need, so that their first run begins at once; once per computer,
     and again after an update. At the end a third of a second of a synthetic person is tracked as a test.
@@ -328,8 +299,9 @@ def batch(
     """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""
     if scheduler is not None and (workers is not None or threads is not None):
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
-    from hypose.app.batch import finished_metrics, ordered_tasks, require_dask, run_batch, wanted, write_table
+    from hypose.app.batch import COLUMNS, finished_metrics, ordered_tasks, require_dask, run_batch, wanted
     from hypose.app.jobs.job import split_names
+    from hypose.app.reports.report_parts import write_csv
 
     if not dry_run:
         require_dask("distributed")  # before all files are read
@@ -347,7 +319,7 @@ def batch(
             with claimed(results):
                 many = {"workers": workers or os.cpu_count() or 1, "threads": threads, "scheduler": scheduler}
                 rows = [*run_batch(tasks, results, progress, **many), *rows]
-                write_table(rows, results)
+                write_csv(results / "results.csv", COLUMNS, ([row.get(name) for name in COLUMNS] for row in rows))
     states = [row["state"] for row in rows]
     for row in rows:
         if row["state"] == "failed":

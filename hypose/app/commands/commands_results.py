@@ -1,25 +1,18 @@
-"""`hypose export`, `report`, `explain`, `gait`, `compare`, `play` and `cite`: use results."""
+"""`hypose export`, `report`, `explain`, `gait`, `compare` and `cite`: use results."""
 
 from __future__ import annotations
 
-import contextlib
-import math
-import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pythonosc.osc_message import OscMessage
 
 from hypose import __version__
-from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say, stopping
-from hypose.app.live.osc import OscTarget, vmc_messages
-from hypose.body.body import Body
+from hypose.app.commands.console import Stages, counted, each, print_note, print_notes, say
 from hypose.body.motion import Motion
 from hypose.errors import InputError
-from hypose.io.files import check_writable, claimed, read_json, write_text
-from hypose.io.motions.results import load_result, load_result_body
+from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.motions.results import load_result_body
 from hypose.options import MOST_FRAMES, MotionPath, Option, OutFolder, Threads, TrackedPath
 
 if TYPE_CHECKING:
@@ -106,12 +99,12 @@ def gait(
 
 def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     """Write the gait: events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and with a whole
-    stride cycles.csv and cycles.svg (joint angles over the cycle).
+    stride cycles.csv (joint angles over the cycle).
 
     motion: of which the gait is.
     Returns: paths of the files.
     """
-    from hypose.app.reports.report_parts import cycle_chart
+    from hypose.app.reports.report_parts import write_csv
     from hypose.io.motions.marker_files import joint_residuals, write_c3d
     from hypose.pipeline.gait import PERCENT, angle_cycles
 
@@ -126,10 +119,10 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     ]
     figures = [(f.name, f.unit, f.mean, f.sd, f.low, f.high, f.n) for f in gait.figures]
     paths = [folder / n for n in ("events.csv", "steps.csv", "gait.csv", "gait.c3d")]
-    _table(paths[0], "time_s,sd_s,side,event,x_m,y_m,z_m,frame", events)
-    columns = "time_s,side,duration_s,duration_sd_s,length_m,length_sd_m,width_m,width_sd_m,double_support_s"
-    _table(paths[1], columns, steps)
-    _table(paths[2], "name,unit,mean,sd,low_90,high_90,n", figures)
+    write_csv(paths[0], "time_s sd_s side event x_m y_m z_m frame".split(), events)
+    columns = "time_s side duration_s duration_sd_s length_m length_sd_m width_m width_sd_m double_support_s"
+    write_csv(paths[1], columns.split(), steps)
+    write_csv(paths[2], "name unit mean sd low_90 high_90 n".split(), figures)
     marks = [
         (e.time - start, e.side.capitalize(), {"strike": "Foot Strike", "off": "Foot Off"}[e.kind]) for e in gait.events
     ]
@@ -138,84 +131,11 @@ def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     cycles = angle_cycles(gait.events, motion)
     if not cycles:
         return paths
-    paths += [folder / "cycles.csv", folder / "cycles.svg"]
+    paths.append(folder / "cycles.csv")
     header = [f"{c.name}_{what}" for c in cycles for what in ("mean_deg", "sd_deg", "uncertainty_deg")]
-    table = np.degrees([curve for c in cycles for curve in (c.mean, c.sd, c.uncertainty)]).T
-    _table(
-        paths[-2],
-        ",".join(["percent", *header]),
-        [(f"{p:g}", *row) for p, row in zip(PERCENT, table.tolist(), strict=True)],
-    )
-    write_text(paths[-1], cycle_chart(cycles))
+    table = np.column_stack([PERCENT, *(np.degrees(curve) for c in cycles for curve in (c.mean, c.sd, c.uncertainty))])
+    write_csv(paths[-1], ["percent", *header], table.tolist())
     return paths
-
-
-def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
-
-    def cell(value: object) -> str:
-        return str(value) if not isinstance(value, float) else f"{value:.5f}" if math.isfinite(value) else ""
-
-    write_text(path, "\n".join([header, *(",".join(map(cell, row)) for row in rows)]) + "\n")
-
-
-def play(
-    results: MotionPath,
-    vmc: Annotated[str, Option("HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
-    speed: Annotated[float, Option("How many times as fast as it was.", 0.01, 100)] = 1.0,
-    loop: Annotated[bool, Option("Over and over, until Ctrl-C.")] = False,
-) -> None:
-    """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
-    from hypose.pipeline.sensor_skeletons import pose_fused
-
-    motion = load_result(results)
-    if motion.poses is None:  # of depth sensors
-        body, motion = pose_fused(motion)
-    else:
-        motion, body = load_result_body(results)
-    tell_untrusted(results)
-    with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
-        say(
-            f"{counted(len(motion), 'frame')} at {motion.frame_rate:g} Hz to {vmc}"
-            + (", until Ctrl-C." if loop else ".")
-        )
-        play_motion(motion, body, target.send, speed, loop)
-
-
-def play_motion(
-    motion: Motion,
-    body: Body,
-    send: Callable[[list[OscMessage]], None],
-    speed: float = 1.0,
-    loop: bool = False,
-    wait: Callable[[float], None] = time.sleep,
-    clock: Callable[[], float] = time.monotonic,
-) -> None:
-    """Send a motion with poses to an avatar at its own pace.
-
-    Late frames are skipped; lost frames repeat the last pose and are marked.
-    body: body of the motion.
-    send: sends the messages of a frame.
-    speed: factor of the pace.
-    loop: repeat until interrupted.
-    wait, clock: replaced in tests.
-    Raises: InputError where no frame has a pose.
-    """
-    if motion.poses is None or not (good := np.isfinite(motion.poses).all(1)).any():
-        raise InputError("The motion has no poses, which an avatar needs; play a result of hypose track.")
-    held = np.maximum.accumulate(np.where(good, np.arange(len(motion)), int(good.argmax())))
-    tracked = good & ~motion.lost.astype(bool)
-    due = (motion.times - motion.times[0]) / speed
-    length = float(due[-1]) + 1 / (motion.frame_rate * speed)
-    begin, n = clock(), 0
-    while loop or n < len(motion):
-        late = clock() - begin - (n // len(motion)) * length
-        k = n % len(motion)
-        n += 1
-        if late < due[k]:
-            wait(float(due[k]) - late)
-        elif k + 1 < len(motion) and late > due[k + 1]:
-            continue
-        send(vmc_messages(body, motion.poses[held[k]], clock() - begin, bool(tracked[k])))
 
 
 def cite(
@@ -225,7 +145,15 @@ def cite(
     bibtex: Annotated[bool, Option("As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
-    say(formatted_papers(papers_of(method), bibtex))
+    for key in papers_of(method):
+        kind, fields = PAPERS[key]
+        if bibtex:
+            values = {**fields, "title": f"{{{fields['title']}}}"}
+            say(f"@{kind}{{{key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in values.items()) + "}\n")
+        else:
+            *others, last = fields["author"].split(" and ")
+            authors = f"{', '.join(others)} and {last}" if others else last
+            say(f"{authors} ({fields['year']}). {fields['title']}. {', '.join([*fields.values()][3:])}.")
 
 
 def tell_untrusted(results: Path) -> None:
@@ -363,21 +291,3 @@ def papers_of(name: str) -> tuple[str, ...]:
             f"{', '.join(METHODS)}."
         )
     return ("hypose", *METHODS.get(method, ()))  # other baselines are textbook filters
-
-
-def formatted_papers(keys: Sequence[str], bibtex: bool) -> str:
-    """Format works (papers) as a list of references, one per line, or as BibTeX.
-
-    keys: keys of the works.
-    """
-    out = []
-    for key in keys:
-        kind, fields = PAPERS[key]
-        if bibtex:
-            values = {**fields, "title": f"{{{fields['title']}}}"}
-            out.append(f"@{kind}{{{key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in values.items()) + "}\n")
-        else:
-            *others, last = fields["author"].split(" and ")
-            authors = f"{', '.join(others)} and {last}" if others else last
-            out.append(f"{authors} ({fields['year']}). {fields['title']}. {', '.join([*fields.values()][3:])}.")
-    return "\n".join(out).rstrip()

@@ -41,7 +41,12 @@ from hypose.pipeline.recording_diagnostics import (
 
 def sync(c: SyncCommand) -> None:
     """Find how late each camera is, or write the evidence on one clock (`hypose sync`)."""
-    if c.out is not None and c.out.exists() and not _unfinished(c.out):
+    begun = ("masks", "depth", "keypoints", "videos", "results")  # what this command writes before recording.toml
+    if (
+        c.out is not None
+        and c.out.exists()
+        and not (c.out.is_dir() and all(p.name in begun or p.name[0] == "." for p in c.out.iterdir()))
+    ):
         raise InputError(f"{c.out} is not empty; give a new folder with --out.")
     loaded = load_recording(c.recording)
     if len(loaded.views) < 2:
@@ -83,13 +88,6 @@ def keep_offsets(
         write_text(
             (folder or recording.folder) / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n"
         )
-
-
-def _unfinished(folder: Path) -> bool:
-    """Return whether a folder is empty, or was begun and not finished by this command."""
-    return folder.is_dir() and all(
-        p.name in ("masks", "depth", "keypoints", "videos", "results") or p.name[0] == "." for p in folder.iterdir()
-    )
 
 
 def _given(text: str, recording: Recording) -> list[float]:
@@ -264,12 +262,8 @@ def _video_in_step(view: ViewSettings, recording: Recording, late: float, folder
         open_video(view.source, rate=view.rate) as reader,
         writing_video(path, recording.frame_rate, reader.size) as writer,
     ):
-        before, image = -1, None
         for i in range(len(frames)):
-            nearest = min(max(round(i + late), 0), len(frames) - 1)
-            if image is None or nearest != before:
-                before, image = nearest, reader.read(frames[nearest])
-            writer.write(image)
+            writer.write(reader.read(frames[min(max(round(i + late), 0), len(frames) - 1)]))
     return path
 
 

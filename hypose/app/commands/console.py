@@ -1,4 +1,5 @@
-"""Print results, notes and progress on the command line: stages with frames/s and time left, tables, sentences.
+"""Print results, notes and progress on the command line: stages with frames/s and time left, tables, sentences. Control
+characters in names become visible escapes, so that names cannot control the terminal.
 
 Results go to stdout, progress and errors to stderr, so that `hypose ... > file` keeps the results only.
 """
@@ -22,7 +23,7 @@ from click.exceptions import Exit
 from hypose.errors import visible
 
 if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.console import Console
     from rich.progress import Progress, TaskID
 
 TITLES = {
@@ -53,7 +54,7 @@ TITLES = {
     "read": "Read the recordings",
 }
 """Title of each stage for the user."""
-COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect", "each sensor alone"})
+_COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect", "each sensor alone"})
 _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
 _JSON_SECONDS = 0.2
 JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
@@ -62,35 +63,16 @@ one.
 """
 
 
-def out() -> Console:
-    """Return the console for results; a new one each time, so that a redirected stdout is used."""
-    return _console(sys.stdout)
-
-
-def err() -> Console:
-    """Return the console for progress and errors."""
-    return _console(sys.stderr)
-
-
 def _console(file: TextIO) -> Console:
-    """Make a console that shows control characters in texts as visible escapes, so that names cannot control the
-    terminal.
-    """
+    """Make the console of a stream; a new one each time, so that a redirected stream is used."""
     from rich.console import Console
-    from rich.segment import Segment
 
-    class Careful(Console):
-        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-            for segment in super().render(renderable, options):
-                text = segment.text if segment.control else visible(segment.text)
-                yield segment if text == segment.text else Segment(text, segment.style)
-
-    return Careful(file=file, highlight=False, soft_wrap=True)
+    return Console(file=file, highlight=False, soft_wrap=True)
 
 
 def say(text: str = "", style: str | None = None) -> None:
     """Print one line of results; style: a style of the package rich, for example "green", or None."""
-    out().print(text, style=style, markup=False)
+    _console(sys.stdout).print(visible(text), style=style, markup=False)
 
 
 def counted(count: int, what: str) -> str:
@@ -100,7 +82,7 @@ def counted(count: int, what: str) -> str:
 
 def print_note(text: str) -> None:
     """Print one line on stderr, apart from the results."""
-    err().print(text, style="dim", markup=False)
+    _console(sys.stderr).print(visible(text), style="dim", markup=False)
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -113,7 +95,7 @@ def error(text: str) -> None:
     """Print the sentence that ends a failed command."""
     from rich.text import Text
 
-    err().print(Text.assemble(("error: ", "bold red"), text))
+    _console(sys.stderr).print(Text.assemble(("error: ", "bold red"), visible(text)))
 
 
 def _bars(console: Console) -> Progress:
@@ -146,11 +128,11 @@ def print_table(title: str, columns: Iterable[str], rows: Iterable[Sequence[str]
     """
     from rich.table import Table
 
-    table, console = Table(title=title, title_justify="left"), out()
+    table, console = Table(title=visible(title), title_justify="left"), _console(sys.stdout)
     for column in columns:
         table.add_column(column)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(visible, row))
     if not console.is_terminal:
         console.width = 160
     console.print(table)
@@ -165,7 +147,7 @@ class Stages:
     """
 
     def __init__(self, quiet: bool = False) -> None:
-        self._console, self._quiet = err(), quiet
+        self._console, self._quiet = _console(sys.stderr), quiet
         self.seconds: dict[str, float] = {}
         self._began: dict[str, float] = {}
         self._tasks: dict[str, TaskID] = {}
@@ -189,10 +171,9 @@ class Stages:
         """Report that `done` of `total` steps of a stage are done."""
         now, first, last = time.monotonic(), stage not in self._began, done >= total
         elapsed = self.seconds[stage] = now - self._began.setdefault(stage, now)
-        title = TITLES.get(stage, stage.capitalize())
+        title, unit = TITLES.get(stage, stage.capitalize()), "frames" if stage in _COUNTED_IN_FRAMES else ""
         if self._bars is not None:
             if first:
-                unit = "frames" if stage in COUNTED_IN_FRAMES else ""
                 self._tasks[stage] = self._bars.add_task(title, total=total, unit=unit)
             self._bars.update(self._tasks[stage], completed=done, total=total)
             return
@@ -201,8 +182,8 @@ class Stages:
             return
         self._said[stage] = now
         if self._json:
-            shown = {"stage": stage, "title": title, "done": done, "total": total}
-            print(json.dumps(shown), file=sys.stderr, flush=True)
+            shown = {"name": stage, "title": title, "done": done, "total": total, "seconds": round(elapsed, 2)}
+            print(json.dumps({"stage": shown | {"unit": unit}}), file=sys.stderr, flush=True)
             return
         rate = f", {done / elapsed:.1f} per s" if elapsed > 0.5 and done else ""
         left = f", {(total - done) * elapsed / done:.0f} s left" if rate and not last else f", {elapsed:.1f} s"

@@ -64,7 +64,18 @@ def check(c: CheckCommand) -> None:
         facts, warnings = check_recording(loaded, path, c.samples, progress)
         if c.frames > 0:
             report, cured = examine_recording(loaded, c.frames, path, facts, warnings, progress)
-    write_findings(path.with_suffix(".json"), facts, warnings, report)
+    found = {  # for the studio
+        "healthy": not warnings and (report is None or report.healthy),
+        "facts": facts,
+        "warnings": warnings,
+        "findings": [
+            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence, "cure": f.cure}
+            for f in (report.findings if report is not None else ())
+        ],
+        "views": [{k: getattr(view, k) for k in _FIGURES} for view in (report.views if report is not None else ())],
+        "page": "check.html" if report is not None else None,
+    }
+    write_text(path.with_suffix(".json"), to_json(json_values(found)))
     for text in facts:
         say(text)
     for text in warnings:
@@ -259,29 +270,6 @@ def examine_recording(
         warnings,
     )
     return report, cured
-
-
-def write_findings(path: Path, facts: Sequence[str], warnings: Sequence[str], report: PersonReport | None) -> None:
-    """Write the findings of a check as a JSON file for the studio.
-
-    The file has facts, warnings, findings, figures per view, and the name of the page.
-
-    path: file to write.
-    facts, warnings: result of `check_recording`.
-    report: result of `examine_recording`; None without one.
-    """
-    value = {
-        "healthy": not warnings and (report is None or report.healthy),
-        "facts": facts,
-        "warnings": warnings,
-        "findings": [
-            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence, "cure": f.cure}
-            for f in (report.findings if report is not None else ())
-        ],
-        "views": [{k: getattr(view, k) for k in _FIGURES} for view in (report.views if report is not None else ())],
-        "page": "check.html" if report is not None else None,
-    }
-    write_text(path, to_json(json_values(value)))
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from hypose import __version__
 from hypose.app.commands.commands_results import tell_untrusted
 from hypose.app.commands.console import Stages, counted, each, print_notes, say
 from hypose.app.options import CompareCommand
-from hypose.app.reports.report_parts import RIGHT_COLOUR, Axes, chart, html_list, html_table, over_known, page
+from hypose.app.reports.report_parts import html_list, html_table, number_text, page, write_csv
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.io.files import check_writable, write_text
@@ -23,9 +21,6 @@ from hypose.io.motions.results import load_result
 from hypose.options import named_values
 from hypose.pipeline.comparison import Agreement, Comparison, compare_motions, read_other
 from hypose.pipeline.settings import SETTINGS
-
-_AXES = ("x", "y", "z")
-
 
 Compared = tuple[Path, Path, Comparison]
 """Files of a result and of another motion, and their comparison."""
@@ -41,7 +36,6 @@ def compare(c: CompareCommand) -> None:
     pairs = list(zip(c.files[::2], c.files[1::2], strict=True))
     folder = c.out or (c.files[0] if c.files[0].is_dir() else c.files[0].parent)
     joints = parse_joints(c.joint)
-    load_result(c.files[0])
     check_writable(folder)
     with Stages() as progress:
         compared = [
@@ -49,7 +43,7 @@ def compare(c: CompareCommand) -> None:
             for a, b in each(progress, "compare", pairs)
         ]
     failed = exceeded(compared, c.max_mm, c.max_degrees, c.min_coverage)
-    write_csv(folder / "compare.csv", compared)
+    write_comparison_table(folder / "compare.csv", compared)
     write_comparison_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(c.files):
         tell_untrusted(file)
@@ -126,22 +120,23 @@ def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {joint: tuple(m.strip() for m in names.split("+") if m.strip()) for joint, names in given.items()}
 
 
-def write_csv(path: Path, compared: Sequence[Compared]) -> None:
+def write_comparison_table(path: Path, compared: Sequence[Compared]) -> None:
     """Write a table with one row per joint and angle of every pair."""
-    header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
-    header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
+    header = "result other name unit frames median p95 rmse offset median_left p95_left rmse_left".split()
+    header += [f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in "xyz"]
     header += [f"covered_{100 * level:g}" for level in SETTINGS.compare_levels]
-    table = io.StringIO()
-    rows = csv.writer(table, lineterminator="\n")
-    rows.writerow(header)
+    rows = []
     for result, other, found in compared:
         for a in (*found.joints, *found.angles):
-            numbers = [a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left]
+            row = [result, other, a.name, a.unit, a.n, *_distances(a)]
             for values in (a.bias, a.low, a.high, a.r):
-                numbers += [*values.tolist(), *[float("nan")] * (3 - len(values))]
-            known = ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
-            rows.writerow([result, other, a.name, a.unit, a.n, *known])
-    write_text(path, table.getvalue())
+                row += [*values.tolist(), *[None] * (3 - len(values))]
+            rows.append([*row, *a.covered])
+    write_csv(path, header, rows)
+
+
+def _distances(a: Agreement) -> tuple[float, ...]:
+    return a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left
 
 
 def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
@@ -179,22 +174,29 @@ def _table(rows: Sequence[Agreement]) -> str:
             "inside 90 %")  # fmt: skip
     out = []
     for a in rows:
-        numbers = (a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left)
         limits = " / ".join(f"{low:.0f}..{high:.0f}" for low, high in zip(a.low, a.high, strict=True))
         covered = a.covered[SETTINGS.compare_levels.index(0.9)]
-        cells = [html.escape(a.name), a.unit, str(a.n), *(_number(v) for v in numbers)]
-        cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
+        cells = [html.escape(a.name), a.unit, str(a.n), *map(number_text, _distances(a))]
+        cells += [
+            " / ".join(number_text(v) for v in a.bias.tolist()),
+            limits,
+            " / ".join(f"{v:.3f}" for v in a.r.tolist()),
+        ]
         cells.append("-" if covered != covered else f"{100 * covered:.0f} %")
         out.append(cells)
     return html_table(out, head, range(1, len(head))) + "<p class='dim'>* without the constant offset</p>"
 
 
-def _number(value: float) -> str:
-    return "-" if not np.isfinite(value) else f"{value:.1f}"
-
-
 def _errors(found: Comparison) -> str:
-    axes = Axes(x="time (s)", y="distance (mm)", low=0)
-    for of, colour, label in ((np.nanmax, "#999999", "worst joint"), (np.nanmedian, RIGHT_COLOUR, "median joint")):
-        axes.line(found.times, over_known(of, found.errors), colour, label)
-    return chart([[axes]], 270)
+    """Draw the distance of the worst joint (grey) and of the median joint (blue) over time."""
+    seen = np.isfinite(found.errors).any(1)
+    if seen.sum() < 2:
+        return ""
+    times, errors = found.times[seen], found.errors[seen]
+    x, top, lines = 1000 * (times - times[0]) / np.ptp(times), max(float(np.nanmax(errors)), 1e-9), []
+    for of, colour in ((np.nanmax, "#999999"), (np.nanmedian, "#2679c0")):
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in zip(x, 220 * (1 - of(errors, 1) / top), strict=True))
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.4"/>')
+    look = 'width="1000" viewBox="0 0 1000 220" style="border-left: 1px solid; border-bottom: 1px solid"'
+    text = f"0 to {top:.0f} mm from {times[0]:.2f} to {times[-1]:.2f} s; grey: worst joint, blue: median joint."
+    return f"<figure><svg {look}>{''.join(lines)}</svg><figcaption>{text}</figcaption></figure>"

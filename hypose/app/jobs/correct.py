@@ -1,4 +1,4 @@
-"""Correct a tracked motion: tracking starts again from a clicked pose in one frame.
+"""`hypose correct`: correct a tracked motion. Tracking starts again from a clicked pose in one frame.
 
 The old result stays unchanged. In the new one, the frames after the correction (and before it, backwards, as far as the
 correction says) are tracked from the corrected pose with the same body, recipe and evidence; all other frames are those
@@ -11,24 +11,26 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from hypose.app.commands.console import ProgressCall, each, ignore
-from hypose.app.jobs.job import compile_before
+from hypose.app.commands.console import ProgressCall, Stages, each, say
+from hypose.app.jobs.job import compile_before, split_names
 from hypose.app.reports.report import write_report
-from hypose.app.studio.view_bundle import load_view
+from hypose.app.reports.report_parts import require_found
+from hypose.app.studio.view_bundle import find_recording, load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.io.files import check_writable, read_json
-from hypose.io.motions.export import export_motion, known_formats
+from hypose.io.files import check_writable, claimed, read_json
+from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.options import MOST_FRAMES, Formats, Option, Threads
 from hypose.pipeline.assessment import later, list_changes, trace_of, with_trace
 from hypose.pipeline.recorded_frames import frames_wanted
 from hypose.pipeline.run import TrackResult
@@ -78,35 +80,53 @@ def read_correction(path: Path) -> Correction:
     raise InputError(f"{path} holds no corrected pose; correct a frame in `hypose view` and save it there.")
 
 
-def corrected_motion(
-    recording: Recording,
-    old: Path,
-    correction: Correction,
-    out: Path,
-    *,
-    until: int | None = None,
-    formats: tuple[str, ...] = (),
-    progress: ProgressCall = ignore,
-) -> Motion:
-    """Track a result again from a corrected frame, and write the whole motion as a new result.
+def correct(
+    results: Annotated[Path, Option("Results folder of hypose track.", argument=True)],
+    clicks: Annotated[Path, Option("The corrected pose: starts/NAME.json, saved in hypose view.", argument=True)],
+    until: Annotated[
+        int | None, Option("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
+    ] = None,
+    out: Annotated[Path | None, Option("Results folder. [default: RESULTS-corrected]")] = None,
+    formats: Formats = "trc,c3d,bvh,glb,csv,mot",
+    threads: Threads = None,
+) -> None:
+    """Track a result again from a frame whose pose was corrected; other frames stay unchanged."""
+    recording = find_recording(results)
+    if recording is None:
+        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
+    folder = out or results.with_name(f"{results.name}-corrected")
+    correction, names = read_correction(clicks), split_names(formats)
+    if until is not None:
+        correction = replace(correction, until=until)
+    with claimed(folder), Stages() as progress:
+        if folder.resolve() == results.resolve():
+            raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
+        check_writable(folder)
+        motion, body = _tracked_again(recording, results, correction, progress)
+        TrackResult(motion, body, True, ()).save(folder)
+        for name in each(progress, "export", names):
+            export_motion(motion, body, folder, (name,))
+        for path in each(progress, "report", [folder / "report.html"]):
+            write_report(path, load_view(folder, recording))
+    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
+    say(f"Results: {folder}")
+    require_found(motion, recording.name, folder)
 
-    recording: recording of the result.
-    old: folder of the old result.
+
+def _tracked_again(
+    recording: Recording, old: Path, correction: Correction, progress: ProgressCall
+) -> tuple[Motion, Body]:
+    """Track a result again from a corrected frame; return the whole motion and the body.
+
+    old: folder of the result.
     correction: corrected pose, and the frames to track again.
-    out: folder of the new result.
-    until: frame of the recording after the last to track again; None: as the correction says, else to the end.
-    formats: motion files to write.
     Raises: InputError where the correction does not fit the result.
     """
     motion, body = load_motion(old / "motion.npz"), load_body(old / "body.npz")
     options, first = _options(motion, old)
-    start, row, stop = _rows(motion, correction, first, correction.until if until is None else until)
+    start, row, stop = _rows(motion, correction, first)
     if len(correction.pose) != body.skeleton.dof:
         raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old} itself.")
-    if out.resolve() == old.resolve():
-        raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
-    known_formats(formats)
-    check_writable(out)
     compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
     record |= {"clicks": correction.name, "of": old.name}
@@ -124,13 +144,7 @@ def corrected_motion(
     if start < row:
         record["since"] = first + start
         joined = join(joined, tracked(range(first + start, first + row + 1), True), start, None)
-    joined = join(joined, tracked(range(first + row, first + stop), False), row, record)
-    TrackResult(joined, body, True, ()).save(out)
-    for name in each(progress, "export", formats):
-        export_motion(joined, body, out, (name,))
-    for path in each(progress, "report", [out / "report.html"]):
-        write_report(path, load_view(out, recording))
-    return joined
+    return join(joined, tracked(range(first + row, first + stop), False), row, record), body
 
 
 class Backwards:
@@ -219,16 +233,15 @@ def _options(motion: Motion, old: Path) -> tuple[TrackOptions, int]:
     return options, int(frames[0])
 
 
-def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int, int]:
+def _rows(motion: Motion, correction: Correction, first: int) -> tuple[int, int, int]:
     """Compute the rows of a motion to track again.
 
     first: number of the frame in row 0.
-    until: frame after the last to track again; None: to the end.
     Returns: the first row, the corrected one, and the one after the last.
     Raises: InputError where they are outside the result.
     """
     last = first + len(motion)
-    stop = last if until is None else until
+    stop = last if correction.until is None else correction.until
     since = correction.frame if correction.since is None else correction.since
     if not first <= since <= correction.frame < stop <= last:
         raise InputError(

@@ -23,10 +23,10 @@ from hypose.app.commands.console import (
     say,
     stopping,
 )
-from hypose.app.jobs.job import ASSESSMENT_FILE, job_of, print_assessments, print_figures, split_names, track_shown
+from hypose.app.jobs.job import ASSESSMENT_FILE, print_assessments, print_figures, split_names
 from hypose.app.live.live_server import LiveServer, run_live
-from hypose.app.options import FuseCommand, TrackCommand
-from hypose.app.reports.report_parts import require_found
+from hypose.app.options import FuseCommand
+from hypose.app.reports.report_parts import require_found, write_csv
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -37,10 +37,9 @@ from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.geometry import Array, se3, transform
-from hypose.io.files import check_writable, claimed, file_name, write_text
+from hypose.io.files import check_writable, claimed, file_name
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import provenance, results_folder, save_motion, to_json, write_json
-from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.skeleton_files import (
     SensorStream,
     SkeletonRecording,
@@ -59,7 +58,7 @@ _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floo
 
 
 def fuse(c: FuseCommand) -> None:
-    """Fuse skeletons of sensors: live, with cameras, or from a recording (`hypose fuse`)."""
+    """Fuse skeletons of sensors: live or from a recording (`hypose fuse`)."""
     if c.live:
         if c.recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
@@ -71,17 +70,6 @@ def fuse(c: FuseCommand) -> None:
     if c.recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     loaded = read_skeletons(c.recording)
-    if c.cameras is not None:
-        if c.method != "fit" or c.reference is not None or c.rate is not None:
-            raise InputError(
-                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference and --rate "
-                "out."
-            )
-        filmed = load_recording(c.cameras)
-        out = c.out or results_folder(filmed.folder, "fuse-cameras")
-        how = TrackCommand(recording=c.cameras, seed=c.seed, formats=c.formats, out=out, threads=c.threads)
-        track_shown(replace(job_of(how, filmed), skeletons=loaded))
-        return
     folder = c.recording if c.recording.is_dir() else c.recording.parent
     name = f"fuse-{c.method}" if c.recording.is_dir() else f"{file_name(loaded.name)}-fuse-{c.method}"
     results = results_folder(folder, name) if c.out is None else c.out
@@ -315,15 +303,8 @@ def _write(
     save_motion(motion, folder / "motion.npz")
     write_json(folder / "provenance.json", record)
     write_json(folder / ASSESSMENT_FILE, assessment.document())
-    write_text(folder / "sensors.csv", sensors_csv(fused))
-    return motion
-
-
-def sensors_csv(fused: Fused) -> str:
-    """Build the table of each sensor's share in each joint: a row per frame, a column joint:sensor with its share (0 to
-    1).
-    """
-    header = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
+    # each sensor's share (0 to 1) in each joint
+    columns = ["time", *(f"{j}:{s}" for j in COMMON for s in fused.sensor_names)]
     table = np.column_stack([fused.motion.times, fused.shares.reshape(len(fused.shares), -1)])
-    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in table.tolist()]
-    return "\n".join([",".join(header), *lines]) + "\n"
+    write_csv(folder / "sensors.csv", columns, table.round(4).tolist())
+    return motion

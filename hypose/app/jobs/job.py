@@ -54,7 +54,6 @@ from hypose.io.motions.results import (
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.sensors.skeleton_files import SkeletonRecording
 from hypose.pipeline.assessment import ASSESSMENT_FILE, EXIT_UNTRUSTED, UNTRUSTED, Assessment, load_assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
@@ -79,7 +78,6 @@ class TrackJob:
     results: folder of the files.
     command: options of the user, and which files are wanted.
     truth: compares the motion with the true one, for synthetic recordings.
-    skeletons: reports of sensors from the same time, solved together with the rest.
     """
 
     recording: Recording
@@ -87,7 +85,6 @@ class TrackJob:
     results: Path
     command: TrackCommand
     truth: Callable[[Motion], Truth] | None = None
-    skeletons: SkeletonRecording | None = None
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -234,7 +231,7 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
 
 
 def _track(job: TrackJob, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall) -> PeopleResult:
-    """Track the people of a job; a single person together with the skeletons of sensors where there are any.
+    """Track the people of a job.
 
     source: frames of the recording.
     record: provenance of the run.
@@ -242,15 +239,8 @@ def _track(job: TrackJob, source: FrameStream, record: Mapping[str, Any], progre
     options, about = job.options, {"results": job.results, "record": record, "progress": progress}
     if job.command.people is not None:
         return track_named(source, options, job.command.people, resume=job.command.resume, **about)
-    if (skeletons := job.skeletons) is not None:
-        from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
-
-        one = fuse_mixture(
-            source, job.recording.frame_rate, lambda motion: skeletons_at_frames(skeletons, motion), options, **about
-        )
-    else:
-        command = f"hypose track {shlex.quote(str(job.recording.folder))} --people all"
-        one = track_person(source, options, resume=job.command.resume, command=command, **about)
+    command = f"hypose track {shlex.quote(str(job.recording.folder))} --people all"
+    one = track_person(source, options, resume=job.command.resume, command=command, **about)
     return PeopleResult((one,), one.complete)
 
 
@@ -295,7 +285,7 @@ def record_of(job: TrackJob) -> dict[str, Any]:
         "views": [v.name for v in recording.views],
         **({} if people is None else {"people": people}),
     }
-    inputs = {**recording.inputs, **({} if job.skeletons is None else job.skeletons.inputs)}
+    inputs = dict(recording.inputs)
     toml = recording.folder / "recording.toml"
     if toml.is_file():
         inputs["recording"] = toml

@@ -75,7 +75,7 @@ class GestureSource:
 def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource:
     """Open a source by its name.
 
-    text: folder of a recorded session, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3 (RealSense), FILE.r3d (Record3D),
+    text: folder of a recorded session, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3 (RealSense),
         "realsense", "simulated" or "simulated:PERSON".
     gesture, seed: gesture and seed of the simulated person.
     Raises: InputError for other texts.
@@ -89,13 +89,13 @@ def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource
         return _opened(text, open_realsense())
     if path.suffix.lower() in (".bag", ".db3"):
         return _opened(path.name, read_realsense(path))
-    if path.suffix.lower() in (".mkv", ".r3d"):
+    if path.suffix.lower() == ".mkv":
         return _opened(path.name, open_depth(path))
     if path.is_dir():
         return _recorded(path)
     raise InputError(
         f"There is no depth source {text!r}; give a recorded session's folder, a recording of an Azure Kinect "
-        "(.mkv), RealSense (.bag, .db3) or Record3D (.r3d), realsense, or simulated."
+        "(.mkv) or RealSense (.bag, .db3), realsense, or simulated."
     )
 
 

@@ -20,6 +20,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hypose.app.commands.console import counted, ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.servers import SocketServer, listen_error, quiet_logs, same_secret, token_for
@@ -75,20 +77,17 @@ class LiveServer:
         self.people: int = 0
         self.udp_port = self.ws_port = 0
         self._note = note
-        self.clock: Callable[[], float] | None = None  # monotonic, s; None: that of the event loop
+        self.clock: Callable[[], float] = time.monotonic  # s, that of the event loop
         self._complained, self._silent = -math.inf, 0
         self._writer = FolderWriter(record) if record is not None else None
         self.unrecorded: str = ""  # why a requested recording is not complete
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self.listeners: list[_Say] = []  # receivers of all messages
-        self.sockets: SocketServer = SocketServer(self._hello, clients=32, take=self.take, token=self.token)
+        hello = json.dumps({"type": "hello", "version": 1, "joints": COMMON, "rate": self.settings.rate})
+        self.sockets: SocketServer = SocketServer(hello, "/out", clients=32, take=self.take, token=self.token)
         self._osc: OscTarget | None = None
         self._status_at = 0.0
-
-    def now(self) -> float:
-        """Return the time of the clock, s."""
-        return self.clock() if self.clock is not None else asyncio.get_running_loop().time()
 
     # ---- life ----
 
@@ -135,7 +134,7 @@ class LiveServer:
 
     def take(self, data: bytes | str) -> str | None:
         """Parse and fuse one received line; return the reason where it is ignored, else None."""
-        now = self.now()
+        now = self.clock()
         self.received += 1
         held = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
         if self.token and self.token.encode() not in held:  # a cheap test first
@@ -178,11 +177,11 @@ class LiveServer:
 
     def tick(self) -> None:
         """Send the frames that are ready, and set the timer for the next one."""
-        for frame in self.fuser.poll(self.now()):
-            self._send(frame, self.now())
+        for frame in self.fuser.poll(self.clock()):
+            self._send(frame, self.clock())
         if self._timer is not None:
             self._timer.cancel()
-        due, now = self.fuser.aligner.due(), self.now()
+        due, now = self.fuser.aligner.due(), self.clock()
         self._timer = asyncio.get_running_loop().call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
@@ -210,19 +209,12 @@ class LiveServer:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
         sensors = [
             {
-                "name": s.name,
-                "alive": s.alive,
-                "rate": round(s.rate, 1),
-                "offset": round(s.offset, 5),
-                "jumps": s.jumps,
-                "returns": s.returns,
-                "used": s.used,
-                "refused": s.refused,
-                "registered": s.name in residuals,
-                "residual": round(residuals.get(s.name, math.nan), 5),
-                "place": places[s.name].round(4).tolist() if s.name in places else None,
+                **status,
+                "registered": status["name"] in residuals,
+                "residual": round(residuals.get(status["name"], math.nan), 5),
+                "place": places[status["name"]].round(4).tolist() if status["name"] in places else None,
             }
-            for s in self.fuser.aligner.status(now)
+            for status in self.fuser.aligner.status(now)
         ]
         counts = {
             "received": self.received,
@@ -231,11 +223,6 @@ class LiveServer:
             "dropped": self.sockets.dropped,
         }
         return json.dumps(json_values({"type": "status", "sensors": sensors, **counts}), separators=(",", ":"))
-
-    def _hello(self, path: str) -> str | None:
-        """Return the first message for a listener; None for another path than /out."""
-        value = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.settings.rate}
-        return json.dumps(value) if path == "/out" else None
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -279,7 +266,17 @@ async def run_live(server: LiveServer, say: _Say, note: _Say) -> None:
     with ended_by_signals(ended):
         await server.start()
         try:
-            _say_where(server, say)
+            host = f"[{server.host}]" if ":" in server.host else server.host
+            for text, there in (
+                (f"Skeletons in:  udp {host}:{server.udp_port}", server.udp is not None),
+                (f"Skeletons in:  ws://{host}:{server.ws_port}/in", server.ws is not None),
+                (f"Fused out:     ws://{host}:{server.ws_port}/out", server.ws is not None),
+                (f"Fused out:     osc {server.osc}", server.osc is not None),
+                (f"Token:         {server.token}", server.token != ""),
+                ("Stop with Ctrl-C.", True),
+            ):
+                if there:
+                    say(text)
             reported = time.monotonic()
             with punctual():
                 while not ended.is_set():
@@ -297,22 +294,7 @@ async def run_live(server: LiveServer, say: _Say, note: _Say) -> None:
         say(f"Recorded: {server.record}")
 
 
-def _say_where(server: LiveServer, say: _Say) -> None:
-    host = f"[{server.host}]" if ":" in server.host else server.host
-    if server.udp is not None:
-        say(f"Skeletons in:  udp {host}:{server.udp_port}")
-    if server.ws is not None:
-        say(f"Skeletons in:  ws://{host}:{server.ws_port}/in")
-        say(f"Fused out:     ws://{host}:{server.ws_port}/out")
-    if server.osc is not None:
-        say(f"Fused out:     osc {server.osc}")
-    if server.token:
-        say(f"Token:         {server.token}")
-    say("Stop with Ctrl-C.")
-
-
 def _summary(server: LiveServer) -> str:
-    ordered = sorted(server.latencies)
-    p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
-    alive = sum(s.alive for s in server.fuser.aligner.status(server.now()))
+    p99 = 1000 * float(np.percentile(server.latencies, 99))
+    alive = sum(s["alive"] for s in server.fuser.aligner.status(server.clock()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."

@@ -77,7 +77,8 @@ class PoseOutputs(Listener):
         vmc: str | None = None,
         clock: Callable[[], float],
     ) -> None:
-        self._cameras, self._clock, self._rate = cameras, clock, rate
+        self._cameras, self._clock = cameras, clock
+        hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": cameras, "rate": rate}
         self._outs: list[tuple[OscTarget, Callable[[Sequence[LivePose], float], list[bytes]]]] = []
         self._begin: float | None = None
         self.listeners: SocketListeners | None = None
@@ -85,16 +86,10 @@ class PoseOutputs(Listener):
             for address, option, made in ((udp, "--udp", self._lines), (osc, "--osc", _osc), (vmc, "--vmc", self._vmc)):
                 if address is not None:
                     self._outs.append((OscTarget(address, option), made))
-            self.listeners = None if ws is None else SocketListeners(ws, self._hello)
+            self.listeners = None if ws is None else SocketListeners(ws, json.dumps(hello), "/out")
         except InputError:
             self.close()
             raise
-
-    def _hello(self, path: str) -> str | None:
-        if path != "/out":
-            return None
-        hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
-        return json.dumps(hello)
 
     def _lines(self, poses: Sequence[LivePose], latency: float) -> list[bytes]:
         """Encode each pose as a line of JSON; latency: from the arrival of the last picture, s."""

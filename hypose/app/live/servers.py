@@ -92,8 +92,8 @@ class SocketServer:
     """WebSocket server of one event loop, whose clients listen to posted items, or send lines. A listener that is too
     slow misses items.
 
-    hello: function of the path that a listener requests; returns the first item for this listener, or None where
-        there is no such path.
+    hello: first item for every listener; "": none.
+    path: path that listeners request.
     clients: most connections at a time.
     take: function that receives each line that a client sends to the path /in, and returns why the line is ignored,
         or None where it is used; None instead of a function: no lines are accepted.
@@ -106,13 +106,15 @@ class SocketServer:
 
     def __init__(
         self,
-        hello: Callable[[str], str | None],
+        hello: str = "",
+        path: str = "/",
         *,
         clients: int = 16,
         take: Callable[[str | bytes], str | None] | None = None,
         token: str = "",
     ) -> None:
         self._hello, self._clients, self._take, self._token = hello, clients, take, token
+        self._paths = {path} if take is None else {path, "/in"}
         self.dropped, self.listeners = 0, set[ServerConnection]()
         self._server: Server | None = None
 
@@ -148,7 +150,7 @@ class SocketServer:
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuse a request with another path, too many connections or a wrong token; None: it is accepted."""
         path, _, query = request.path.partition("?")
-        if not (path == "/in" and self._take is not None) and self._hello(path) is None:
+        if path not in self._paths:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such path\n")
         if len(connection.server.connections) >= self._clients:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
@@ -163,8 +165,8 @@ class SocketServer:
             if path == "/in" and self._take:
                 await self._receive(connection, self._take)
             else:
-                if hello := self._hello(path):
-                    broadcast([connection], hello)
+                if self._hello:
+                    broadcast([connection], self._hello)
                 self.listeners.add(connection)  # after the first item nothing is missed
                 await connection.wait_closed()
         self.listeners.discard(connection)
@@ -186,8 +188,7 @@ class SocketListeners:
     """WebSocket server on ws://127.0.0.1:PORT in a thread of its own, for listeners of this computer.
 
     port: 0: any free one.
-    hello: function of the requested path that returns the first item for a listener; by default any path is
-        accepted, and there is no first item.
+    hello, path: as for `SocketServer`.
     Raises: InputError where the port cannot be used.
 
     Attributes:
@@ -195,9 +196,9 @@ class SocketListeners:
     server: the server, which belongs to the thread.
     """
 
-    def __init__(self, port: int, hello: Callable[[str], str | None] = lambda path: "") -> None:
+    def __init__(self, port: int, hello: str = "", path: str = "/") -> None:
         self._loop = asyncio.new_event_loop()
-        self.server: SocketServer = SocketServer(hello)
+        self.server: SocketServer = SocketServer(hello, path)
         quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()

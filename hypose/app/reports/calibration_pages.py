@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports.report_parts import html_list, html_table, page, picture_of
+from hypose.app.reports.report_parts import html_list, html_table, number_text, page, picture_of
 from hypose.app.reports.result_pictures import close_up, jpeg, open_images, put_text
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.diagnostics import Cured, Observed, PersonReport
@@ -93,7 +93,7 @@ def write_check_page(
         moved = "-" if v.change is None else f"{v.change.turn_deg:.2f}&deg;, {1000 * v.change.move_m:.0f} mm"
         kinds = html.escape(", ".join(dict.fromkeys(f.kind for f in report.of(v.name) if f.fault)))
         word = f'<span class="bad">{kinds}</span>' if kinds else "fine"
-        numbers = (_number(v.residual_px), _number(v.left_out_px), _number(v.tangency_px))
+        numbers = map(number_text, (v.residual_px, v.left_out_px, v.tangency_px))
         rows.append((html.escape(v.name), *numbers, moved, word))
     head = ("camera", "residual (px)", "left out (px)", "silhouette (px)")
     found = [("" if f.fault else "Note: ") + f.sentence for f in report.findings]
@@ -114,10 +114,6 @@ def write_check_page(
     parts.append("<h2>Notes</h2>" + html_list(facts))
     parts.append(f"<p class='dim'>hypose {__version__}</p>")
     write_text(path, page(f"{title}: check", "\n".join(parts)))
-
-
-def _number(value: float) -> str:
-    return "-" if value != value else f"{value:.1f}"
 
 
 # ---- calibration sheet ---------------------------------------------------------------------------------------------
@@ -179,7 +175,10 @@ def _row(
         _picture(view, missing, size, "" if missing is None else f"frame {missing}: {view.looks[missing].reason}"),
     ]
     if shown is not None:
-        _draw_board(cells[0], sightings[shown], board, scale)
+        ids, pixels = sightings[shown].ids, sightings[shown].pixels
+        corners = (scale * pixels[np.argsort(ids)]).astype(np.float32)
+        # lines along the rows, the first of them red; a part of a board as circles
+        cv2.drawChessboardCorners(cells[0], board.size, corners, len(ids) == len(board.points))
     for f, s in sightings.items():
         error = errors.get(f, float("nan"))
         share = min(error / 2, 1.0) if np.isfinite(error) else 0.0
@@ -187,16 +186,11 @@ def _row(
         for x, y in (scale * s.pixels).round().astype(int).tolist():
             cv2.circle(cells[1], (x, y), 2, colour, -1, cv2.LINE_AA)
     put_text(cells[1], f"{len(sightings)} boards, {100 * view.coverage:.0f} % of the area", 8, 18)
-    strip = np.full((_STRIP, 3 * _WIDTH, 3), 20, np.uint8)
-    numbers = sorted(view.looks)
-    width = max(1, 3 * _WIDTH // max(len(numbers), 1))
-    for k, number in enumerate(numbers):
-        look = view.looks[number]
-        x = round(k * 3 * _WIDTH / len(numbers))
-        strip[4:-4, x : x + max(1, width - 1)] = _COLOURS.get(look.reason, _NOT_FOUND)
+    shades = [_COLOURS.get(view.looks[number].reason, _NOT_FOUND) for number in sorted(view.looks)] or [(20, 20, 20)]
+    strip = cv2.resize(np.array([shades], np.uint8), (3 * _WIDTH, _STRIP), interpolation=cv2.INTER_NEAREST)
     head = np.full((30, 3 * _WIDTH, 3), 0, np.uint8)
     put_text(head, view.summary(), 8, 20)
-    return np.concatenate([head, np.concatenate(cells, 1), strip])
+    return np.concatenate([head, np.concatenate(cells, 1), strip]).astype(np.uint8)
 
 
 def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: str) -> Image:
@@ -216,25 +210,6 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
             text = f"{text}: cannot be read again"
     put_text(image, text, 8, 18)
     return image
-
-
-def _draw_board(image: Image, sighting: BoardDetection, board: Board, scale: float) -> None:
-    """Draw the corners of a board: the first row red, the first column orange, the others green.
-
-    scale: scale of the picture to the recorded one.
-    """
-    nx = board.size[0]
-    at = dict(zip(sighting.ids.tolist(), (scale * sighting.pixels).round().astype(int).tolist(), strict=True))
-    for i, (x, y) in at.items():
-        first = i < nx
-        cv2.circle(image, (x, y), 3, (40, 40, 255) if first else (80, 230, 80), 1, cv2.LINE_AA)
-        right, down = i + 1, i + nx
-        if right in at and right % nx:
-            cv2.line(image, (x, y), tuple(at[right]), (40, 40, 255) if first else (80, 230, 80), 1, cv2.LINE_AA)
-        if down in at and not i % nx:
-            cv2.line(image, (x, y), tuple(at[down]), (255, 120, 40), 1, cv2.LINE_AA)
-    if 0 in at:
-        cv2.circle(image, tuple(at[0]), 6, (40, 40, 255), 2, cv2.LINE_AA)
 
 
 # ---- board to print -----------------------------------------------------------------------------------------------

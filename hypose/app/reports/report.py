@@ -1,4 +1,4 @@
-"""Write report.html: one file that shows how a run went, with all pictures and charts inside."""
+"""Write report.html: one file that shows how a run went, with all pictures inside."""
 
 from __future__ import annotations
 
@@ -9,35 +9,23 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports.report_parts import (
-    angle_chart,
-    cycle_chart,
-    fit_chart,
-    html_list,
-    html_table,
-    page,
-    picture_of,
-    sd_chart,
-    subject_rows,
-    summarize,
-)
+from hypose.app.reports.report_parts import html_list, html_table, page, picture_of, subject_rows, summarize
 from hypose.app.reports.result_pictures import OverlayRows, PictureRows, Shown, jpeg, still_rows, write_overlay
-from hypose.app.studio.view_bundle import ViewResult, view_bundle
-from hypose.body.body import Body
-from hypose.body.motion import Motion, sd_per_axis
+from hypose.app.studio.view_bundle import ViewResult, gait_values, view_bundle
+from hypose.body.motion import sd_per_axis
 from hypose.io.files import write_text
-from hypose.io.motions.results import to_json
+from hypose.io.motions.results import json_values, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.pipeline.assessment import GOOD, UNTRUSTED
-from hypose.pipeline.gait import angle_cycles, gait_of
 
 _STATIC = Path(__file__).parents[1] / "studio" / "static"
-"""Folder in which the front end's build puts report.js and report.css, which show the result in 3D; without them a
-report has charts and pictures only.
+"""Folder in which the front end's build puts report.js and report.css, which show the result in 3D and its
+curves; without them a report has figures and pictures only.
 """
 PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
@@ -89,7 +77,8 @@ def report_html(result: ViewResult, drawn: OverlayRows | None = None) -> str:
     drawn: pictures; None: none.
     """
     drawn = drawn or OverlayRows()
-    top, text = _head(result) + _cards(result), _text(result, drawn)
+    gait = gait_values(result.motion, result.body)
+    top, text = _head(result) + _cards(result), _text(result, drawn, gait)
     if not _built():
         return page(result.title, top + text)
     place = f'</div><div class="wide">{PLACE}</div><div class="report">'
@@ -99,13 +88,16 @@ def report_html(result: ViewResult, drawn: OverlayRows | None = None) -> str:
         files = [[base64.b64encode(f).decode("ascii") for f in views] for views in drawn.small.values()]
         stored = json.dumps({"rows": list(drawn.small), "files": files})
         scripts.append(f'<script type="application/json" id="hypose-pictures">{stored}</script>')
+    if gait["figures"]:
+        stored = json.dumps(json_values(gait))
+        scripts.append(f'<script type="application/json" id="hypose-gait">{stored}</script>')
     code = (_STATIC / "report.js").read_text("utf-8").replace("</script", "<\\/script")
     scripts.append(f"<script>{code}</script>")
     style = (_STATIC / "report.css").read_text("utf-8")
     return page(result.title, top + place + text, f"<style>{style}</style>", "\n".join(scripts))
 
 
-def _text(what: ViewResult, drawn: OverlayRows) -> str:
+def _text(what: ViewResult, drawn: OverlayRows, gait: Mapping[str, Any]) -> str:
     m = what.motion
     parts = [""]
     if not what.complete:
@@ -123,24 +115,15 @@ def _text(what: ViewResult, drawn: OverlayRows) -> str:
         parts.append(
             '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )
-    parts.append("<h2>How well the body fits the images</h2>")
-    if np.isfinite(m.cost).any():
-        parts.append(_figure(fit_chart(m), "Intersection over union of the body and the masks; 1 is a perfect fit."))
-    else:
-        parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
-    if np.isfinite(m.joint_sd).any():
-        caption = "Standard deviation per axis of the joints' positions as the tracker sees it, median of each region."
-        if m.systematic_covariance is not None:
-            lasting = 1000 * float(np.nanmedian(sd_per_axis(m.systematic_covariance)))
-            caption += (
-                f" Of it {lasting:.1f} mm (median) would remain with more frames and more views like these: where the "
-                "joint is defined to be, errors common to all views, the calibration."
-            )
-        parts.append(_figure(sd_chart(m), caption))
-    if m.poses is not None and np.isfinite(m.poses).any():
-        names = "Names and signs as in OpenSim's full-body model (Rajagopal 2016); all angles are in angles.csv."
-        parts.append("<h2>Joint angles</h2>" + _figure(angle_chart(m), names))
-    parts.append(gait_section(m, what.body))
+    if not np.isfinite(m.cost).any():
+        parts.append("<p>No silhouettes were used, so that there is no overlap of body and masks.</p>")
+    if m.systematic_covariance is not None and np.isfinite(m.joint_sd).any():
+        lasting = 1000 * float(np.nanmedian(sd_per_axis(m.systematic_covariance)))
+        parts.append(
+            f"<p>Of the joints' standard deviation per axis, {lasting:.1f} mm (median) would remain with more frames "
+            "and views like these: where the joint is defined to be, errors common to all views, the calibration.</p>"
+        )
+    parts.append(gait_section(gait))
     if what.body is not None:
         sizes = html_table(((html.escape(n), f"{v:.3f} m") for n, v in subject_rows(what.body)), (), (1,))
         parts.append(f'<h2>Subject</h2>{sizes}<p class="dim">Between joint centres; limbs: mean of both sides.</p>')
@@ -185,27 +168,19 @@ def _cards(what: ViewResult) -> str:
     )
 
 
-def _figure(svg: str, caption: str) -> str:
-    return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
+def gait_section(gait: Mapping[str, Any]) -> str:
+    """Build the HTML of the gait: means with intervals.
 
-
-def gait_section(motion: Motion, body: Body | None) -> str:
-    """Build the HTML of the gait: means with intervals, and the joint angles over the cycle.
-
-    Returns: "" where the person does not walk two steps, or poses are not known.
+    gait: result of `gait_values`.
+    Returns: "" where the person does not walk two steps.
     """
-    if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
+    if not gait["figures"]:
         return ""
     rows = [
-        (f.name.replace("_", " "), f"{f.mean:.3g} {html.escape(f.unit)}", f"{f.low:.3g} to {f.high:.3g}", str(f.n))
-        for f in found.figures
+        (name.replace("_", " "), f"{mean:.3g} {html.escape(unit)}", f"{low:.3g} to {high:.3g}", str(n))
+        for name, unit, mean, _, low, high, n in (f.values() for f in gait["figures"])
     ]
-    out = "<h2>Gait</h2>" + html_table(rows, ("", "mean", "with 90 %", "n"), range(1, 4))
-    if cycles := angle_cycles(found.events, motion):
-        caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
-        caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
-        out += _figure(cycle_chart(cycles), caption)
-    return out
+    return "<h2>Gait</h2>" + html_table(rows, ("", "mean", "with 90 %", "n"), range(1, 4))
 
 
 def _origin(what: ViewResult) -> str:

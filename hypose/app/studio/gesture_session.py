@@ -181,18 +181,20 @@ class Controls:
         Returns: False where the message is none of these.
         Raises: InputError where its value is not possible.
         """
-        kind = message.get("t")
-        if kind == "box":
-            x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
-            self.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
-        elif kind == "threshold":
-            value = message.get("value")
-            self.threshold = None if value is None else request_number(value, "the threshold (cm²)", 1e-3, 1e6)
-        elif kind == "hold":
-            self.hold_s = request_number(message.get("seconds"), "the time to hold (s)", 0, 10)
-        elif kind == "map":
-            self.map = message.get("on") is True
-        return kind in ("box", "threshold", "hold", "map")
+        match message.get("t"):
+            case "box":
+                x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
+                self.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
+            case "threshold":
+                value = message.get("value")
+                self.threshold = None if value is None else request_number(value, "the threshold (cm²)", 1e-3, 1e6)
+            case "hold":
+                self.hold_s = request_number(message.get("seconds"), "the time to hold (s)", 0, 10)
+            case "map":
+                self.map = message.get("on") is True
+            case _:
+                return False
+        return True
 
 
 class Lesson(Teaching):

@@ -52,26 +52,24 @@ def answer(value: Any, status: int = 200) -> JSONResponse:
     return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
 
-def block_answer(block: bytes | bytearray | None) -> Response:
-    """Build the answer with a block of a result (`view_bundle`), or an empty one. It is sent in slices, so that the
-    block is not copied as a whole.
+def data_answer(data: bytes | bytearray | None, kind: str = "application/octet-stream", seconds: int = 0) -> Response:
+    """Build the answer with the bytes of a file, or an empty one. It is sent in slices, so that a large block is not
+    copied as a whole.
+
+    data: None: the answer is empty.
+    kind: type of the file.
+    seconds: time for which the browser may keep it, s.
     """
-    if block is None:
+    if data is None:
         return Response(status_code=204)
 
     async def slices() -> AsyncIterator[memoryview]:
-        for at in range(0, len(block), _SLICE):
-            yield memoryview(block)[at : at + _SLICE]
+        for at in range(0, len(data), _SLICE):
+            yield memoryview(data)[at : at + _SLICE]
 
-    headers = {"Cache-Control": "no-store", "Content-Length": str(len(block))}
-    return StreamingResponse(slices(), media_type="application/octet-stream", headers=headers)
-
-
-def jpeg_answer(data: bytes | None, seconds: int) -> Response:
-    """Build the answer with a JPEG, or an empty one; it may be cached for so many seconds."""
-    if data is None:
-        return Response(status_code=204)
-    return Response(data, media_type="image/jpeg", headers={"Cache-Control": f"private, max-age={seconds}"})
+    cached = f"private, max-age={seconds}" if seconds else "no-store"
+    headers = {"Cache-Control": cached, "Content-Length": str(len(data))}
+    return StreamingResponse(slices(), media_type=kind, headers=headers)
 
 
 def error_response(status: int, sentence: str) -> JSONResponse:

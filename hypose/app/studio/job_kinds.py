@@ -16,7 +16,7 @@ from typing import Any
 
 from hypose.app import options
 from hypose.app.commands import commands_recordings, commands_results
-from hypose.app.jobs.correct import read_correction
+from hypose.app.jobs.correct import correct, read_correction
 from hypose.app.studio.catalog import Catalog, Item, Kind, changed
 from hypose.errors import HyposeError, InputError
 from hypose.io.files import free_path, read_json, read_toml
@@ -72,7 +72,7 @@ _KINDS: Mapping[str, tuple[str, str, Callable[..., Any], str]] = {
         options.TrackCommand,
         "recipe refine evidence start height frames seed formats camera subject overlay",
     ),
-    "correct": ("Track {} again from frame {}", "correct {}", commands_recordings.correct, "until"),
+    "correct": ("Track {} again from frame {}", "correct {}", correct, "until"),
     "export": ("Export {}", "export {}", commands_results.export, "formats"),
     "demo": ("Make a demo recording and track it", "demo", commands_recordings.demo, "seconds seed"),
     "fuse": ("Fuse {}", "fuse {}", options.FuseCommand, ""),

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
 
-from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
+from hypose.app.commands.console import JSON_PROGRESS
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.http import Message, NotNow, Topic
 from hypose.app.studio.job_kinds import Plan, next_step, plan_job, uncalibrated
@@ -39,6 +39,8 @@ _USE = {"what": "use_refined"}
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]
 ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
 _KEPT_LINES = 200
+_STAGE = '{"stage": '
+"""Beginning of a line of progress (`Stages`)."""
 _CODE_OF_INPUT = 2
 """Exit code of a command whose input cannot be used."""
 _ASSESSMENT = "Assessment: "
@@ -57,7 +59,6 @@ class _StudioJob:
     lines: last lines of output.
     error: sentence on why it failed.
     resumable: it has ended early, and the same command with --resume continues.
-    starts: when each stage began.
     """
 
     id: str
@@ -74,7 +75,6 @@ class _StudioJob:
     stopping: bool = False
     resumable: bool = False
     process: Process | None = None
-    starts: dict[str, float] = field(default_factory=dict)
 
     def shown(self) -> dict[str, Any]:
         """Return the job in the form of the page."""
@@ -117,7 +117,11 @@ class _StudioJob:
         """Take a line of the command's output: progress, the error, or text."""
         if line.startswith("error: "):
             self.error = line.removeprefix("error: ")[:2000]
-        elif line and not (line.startswith('{"stage"') and _progress(self, line)):
+        elif line.startswith(_STAGE):
+            with contextlib.suppress(ValueError, TypeError, KeyError):  # another line that begins so
+                stage = parse_json(line)["stage"]
+                self.stages[stage["name"]] = stage
+        elif line:
             self.lines.append(line[:500])
 
     def end(self, code: int) -> None:
@@ -305,21 +309,3 @@ class Jobs(Topic):
             job.take(line.decode(errors="replace").rstrip())
             self._tell(job)
         job.end(await job.process.wait())
-
-
-def _progress(job: _StudioJob, text: str) -> bool:
-    """Take a line of progress from a command's output.
-
-    job: its stages are changed.
-    text: the line, JSON with stage, title, done and total.
-    Returns: False where it is no such line.
-    """
-    try:
-        value = parse_json(text)
-        name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
-    except (ValueError, KeyError, TypeError):
-        return False
-    seconds = time.monotonic() - job.starts.setdefault(name, time.monotonic())
-    figures = {"seconds": round(seconds, 2), "unit": "frames" if name in COUNTED_IN_FRAMES else ""}
-    job.stages[name] = {"name": name, "title": title, "done": done, "total": total, **figures}
-    return True

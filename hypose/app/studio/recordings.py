@@ -78,23 +78,24 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     path = _description(folder, recording)
     before = read_text(path, "a recording.toml")
     tables = _BEFORE_TABLE.split(before)
-    if what == "use_refined":
-        if (refined := newest_refined_calibration(folder)) is None:
-            raise InputError("There is no refined calibration yet; refine it first.")
-        # it is in metres with z up
-        tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
-    elif what == "take_back":
-        tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
-    elif what == "keypoint_pixels":
-        tables[0] = _set(tables[0], keypoint_pixels="image")
-    elif what == "height":
-        metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
-        tables[0] = _set(tables[0], subject_height=metres)
-    elif what == "keypoint_lag":
-        frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
-        tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
-    else:
-        _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
+    match what:
+        case "use_refined":
+            if (refined := newest_refined_calibration(folder)) is None:
+                raise InputError("There is no refined calibration yet; refine it first.")
+            # it is in metres with z up
+            tables[0] = _set(tables[0], calibration=refined, calibration_unit=None, world_up=None)
+        case "take_back":
+            tables = [table.replace(_AWAY, _VIEW, 1) if _header(table) == _AWAY else table for table in tables]
+        case "keypoint_pixels":
+            tables[0] = _set(tables[0], keypoint_pixels="image")
+        case "height":
+            metres = number_of(asked.get("metres"), "the height of the person (m)", 0.4, 2.8)
+            tables[0] = _set(tables[0], subject_height=metres)
+        case "keypoint_lag":
+            frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
+            tables[0] = _set(tables[0], keypoint_lag=frames + (0 if recording is None else recording.keypoint_lag))
+        case _:
+            _edit_view(tables, read_toml(path).get("view", []), what, asked, recording, folder, catalog)
     write_text(path, "".join(tables))
     if what not in ("height", "board"):
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,17 @@ from hypose.app.studio.catalog import Catalog, Item, NotFound, changed
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.pictures import OpenRecording
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import ViewResult, body_of_result, first_frame, load_view, quality_of, view_bundle
+from hypose.app.studio.view_bundle import (
+    ViewResult,
+    body_of_result,
+    first_frame,
+    gait_values,
+    load_view,
+    quality_of,
+    view_bundle,
+)
 from hypose.errors import HyposeError
 from hypose.io.motions.results import Checkpoint, load_body, load_motion
-from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 _READ = ("motion.npz", "body.npz", "assessment.json", "modes.npz")
@@ -117,24 +123,10 @@ class Results:
         raise NotFound("There are no pictures of this result.")
 
     def gait(self, item: Item) -> dict[str, Any]:
-        """Compute the gait of a result for the page.
-
-        Returns: table of lists: "events" (time in s, side, kind), "figures" (name, unit, mean, low, high, number), and
-            "cycles" (of each joint angle the mean and standard deviation in degrees, from 0 to 100 % of the cycle). All
-            are empty where the person does not walk, or the motion has no poses or no body.
-        """
+        """Compute the gait of a result for the page (`gait_values`); it is empty where files cannot be read."""
         with self._one, contextlib.suppress(HyposeError):
             motion = load_motion(item.path / "motion.npz")
-            if (body := body_of_result(item.path, motion)) is not None:
-                found = gait_of(motion, body)
-                return {
-                    "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
-                    "figures": [asdict(f) for f in found.figures],
-                    "cycles": [
-                        {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
-                        for c in angle_cycles(found.events, motion)
-                    ],
-                }
+            return gait_values(motion, body_of_result(item.path, motion))
         return {"events": [], "figures": [], "cycles": []}
 
     def so_far(self, plan: Plan, began: float | None) -> bytearray | None:

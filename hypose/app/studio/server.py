@@ -39,10 +39,9 @@ from hypose.app.studio.http import (
     MAX_MESSAGE,
     Guard,
     NotNow,
-    block_answer,
+    data_answer,
     digits,
     error_response,
-    jpeg_answer,
     request_choice,
     route,
     serve_topics,
@@ -87,7 +86,7 @@ class Studio:
         sockets = WebSocketRoute("/ws/{topic}", partial(serve_topics, topics))
         files = [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
         self._routed = Starlette(
-            routes=[Route("/", _page), *routes(self), sockets, *files],
+            routes=[route("/", _page), *routes(self), sockets, *files],
             lifespan=self._lifespan,
             exception_handlers={
                 404: lambda request, error: error_response(404, "There is nothing at this address."),
@@ -149,7 +148,7 @@ def _warm() -> None:
     skeleton.forward(np.zeros((1, skeleton.dof)))
 
 
-async def _page(request: Request) -> Response:
+def _page(request: Request) -> Response:
     if not (STATIC_FOLDER / "index.html").is_file():
         return Response(NOT_BUILT + "\n", 503, media_type="text/plain")
     return FileResponse(STATIC_FOLDER / "index.html", headers={"Cache-Control": "no-store"})
@@ -222,6 +221,7 @@ def run_server(root: Path, host: str, port: int, token: str | None, ready: Calla
 
 
 _RECORDING_FILES = ("calibration.png", "check.html", "check.png", "silhouettes/sheet.jpg")
+_JPEG = "image/jpeg"
 _MASKS = ("none", "edge", "fill", "only")
 _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
@@ -260,7 +260,7 @@ def _of_jobs(jobs: Jobs, results: Results) -> list[Route]:
 
     def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
-        return block_answer(results.so_far(job.plan, job.began))
+        return data_answer(results.so_far(job.plan, job.began))
 
     return [
         route("/api/jobs", lambda request: [j.shown() for j in jobs.every()]),
@@ -286,7 +286,7 @@ def _of_recordings(studio: Studio) -> list[Route]:
         width = digits(query.get("width", "640"), "The width")
         mask = request_choice(query.get("mask", "none"), "way to show a mask", _MASKS)
         data = recordings.picture(item, wanted["camera"], wanted["frame"], width, mask, query.get("settings"))
-        return jpeg_answer(data, 60)
+        return data_answer(data, _JPEG, 60)
 
     def edited(item: Item, request: Request, body: _Body) -> Any:
         recording = None
@@ -321,7 +321,7 @@ def _of_recordings(studio: Studio) -> list[Route]:
         route("/api/folder", folder),
         route(
             "/api/folder/picture.jpg",
-            lambda request: jpeg_answer(first_picture(catalog, request.query_params.get("path", "")), 60),
+            lambda request: data_answer(first_picture(catalog, request.query_params.get("path", "")), _JPEG, 60),
         ),
         route("/api/recordings", make, "POST", 201),
         _of(catalog, "recording", "", one),
@@ -344,9 +344,8 @@ def _of_results(studio: Studio) -> list[Route]:
 
     def pictures(item: Item, request: Request) -> Response:
         width = digits(request.query_params.get("width", "640"), "The width")
-        data = results.pictures(item).row(request.path_params["row"], width)
         # a row of a result does not change while a page is open
-        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
+        return data_answer(results.pictures(item).row(request.path_params["row"], width), seconds=60)
 
     def outlines(item: Item, request: Request) -> Any:
         return {"views": results.pictures(item).outlines(request.path_params["row"])}
@@ -382,14 +381,14 @@ def _of_results(studio: Studio) -> list[Route]:
     return [
         route("/api/results", lambda request: [results.head(i) for i in catalog.items("result")]),
         _of(catalog, "result", "", delete, "DELETE"),
-        _of(catalog, "result", "/view", lambda item, _: block_answer(results.block(item))),
+        _of(catalog, "result", "/view", lambda item, _: data_answer(results.block(item))),
         _of(catalog, "result", "/pictures/{row:int}", pictures),
         _of(catalog, "result", "/outlines/{row:int}", outlines),
-        _of(catalog, "result", "/thumbnail.jpg", lambda item, _: jpeg_answer(results.thumbnail(item), 600)),
+        _of(catalog, "result", "/thumbnail.jpg", lambda item, _: data_answer(results.thumbnail(item), _JPEG, 600)),
         _of(catalog, "result", "/files/{name}", file),
         _of(catalog, "result", "/opensim.zip", opensim),
         _of(catalog, "result", "/gait", lambda item, _: results.gait(item)),
-        _of(catalog, "model", "/thumbnail.jpg", lambda item, _: jpeg_answer(gesture_thumbnail(item.path), 600)),
+        _of(catalog, "model", "/thumbnail.jpg", lambda item, _: data_answer(gesture_thumbnail(item.path), _JPEG, 600)),
     ]
 
 
@@ -398,7 +397,7 @@ def _of_clicks(studio: Studio) -> list[Route]:
     catalog, recordings = studio.catalog, studio.recordings
 
     def body(request: Request) -> Response:
-        return block_answer(clicks.body_block(dict(request.query_params), catalog, recordings))
+        return data_answer(clicks.body_block(dict(request.query_params), catalog, recordings))
 
     def save(item: Item, _: Request, body: _Body) -> Any:
         return clicks.save(body, item, catalog, recordings)

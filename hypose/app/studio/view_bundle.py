@@ -34,6 +34,7 @@ from hypose.io.motions.results import json_values, load_body, load_joints_of_mod
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.assessment import Assessment, assess, load_assessment
 from hypose.pipeline.comparison import Truth, compare_with_truth
+from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.recipes import citation_of
 
 MAGIC = b"HYPOSEV1"
@@ -372,6 +373,26 @@ def body_of_result(folder: Path, motion: Motion) -> Body | None:
     if body.skeleton.joint_names != motion.skeleton.joint_names:
         raise InputError("body.npz and the motion belong to different bodies; track again.")
     return body
+
+
+def gait_values(motion: Motion, body: Body | None) -> dict[str, Any]:
+    """Compute the gait of a motion for the View screen and the report.
+
+    Returns: table of lists: "events" (time in s, side, kind), "figures" (name, unit, mean, low, high, number), and
+        "cycles" (of each joint angle the mean and standard deviation in degrees, from 0 to 100 % of the cycle). All are
+        empty where the person does not walk, or the motion has no poses or no body.
+    """
+    if motion.poses is None or body is None:
+        return {"events": [], "figures": [], "cycles": []}
+    found = gait_of(motion, body)
+    return {
+        "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
+        "figures": [asdict(f) for f in found.figures],
+        "cycles": [
+            {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
+            for c in angle_cycles(found.events, motion)
+        ],
+    }
 
 
 def _rivals(path: Path, motion: Motion) -> Rivals | None:

@@ -40,7 +40,6 @@ from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import keypoint_names, person_size, thick_skeleton
 from hypose.evidence.one_person import OnePerson, one_person, without_held
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, view_outline
-from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
     BitMask,
     Segmenter,
@@ -121,9 +120,9 @@ def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = 
     candidates = candidates_of(recording, small)
     if recording.keypoint_set is None or not candidates:
         nothing = np.zeros((len(small), 0, 0, 3))
-        return RecordedPerson((), [], nothing, OnePerson(nothing, False, (), False, (), ()))
+        return RecordedPerson((), [], nothing, OnePerson(nothing, False, (), (), ()))
     names = keypoint_names(recording.keypoint_set)
-    views = [without_held([frame[c] for frame in candidates], first=3) for c in range(len(small))]
+    views = [without_held([frame[c] for frame in candidates]) for c in range(len(small))]
     candidates = [list(frame) for frame in zip(*(column for column, _ in views), strict=True)]
     one = one_person(candidates, names, small, recording.frame_rate, keep_misfits=keep_misfits)
     held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
@@ -657,7 +656,7 @@ class FrameStream:
                 found = source.owners(frame.index)
                 owners[c, : found.shape[0], : found.shape[1]] = found
             silhouettes = replace(silhouettes, owners=owners)
-        make_ahead(silhouettes, pending.outlines)
+        silhouettes.announce_outlines(pending.outlines)
         colours = _colours(masks, silhouettes.masks.shape) if self.options.colours else None
         return replace(frame, silhouettes=silhouettes, colours=colours)
 

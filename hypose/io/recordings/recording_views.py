@@ -26,8 +26,6 @@ from hypose.evidence.depth_background import (
     STILL_FRAMES,
     DepthBackground,
     learn_background,
-    people_before,
-    people_on_floor,
     person_before,
     person_on_floor,
     unlike_people,
@@ -379,8 +377,8 @@ class DepthSource:
         room, camera = self.furnished[0], self._small
         depth = self.map(frame)
         if room is None:
-            return (people_on_floor if self._people else person_on_floor)(depth, camera, self._unlike_people)
-        return people_before(depth, room) if self._people else person_before(depth, room, camera.K[0, 0])
+            return person_on_floor(depth, camera, self._unlike_people, self._people)
+        return person_before(depth, room, camera.K[0, 0], self._people)
 
     @cached_property
     def room(self) -> DepthBackground | None:

@@ -6,11 +6,9 @@ A depth map is (h, w) float32 in metres, 0 for a hole, with pixel centres at int
 from __future__ import annotations
 
 import contextlib
-import importlib
 import itertools
 import os
 import time
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,7 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError, extra
 from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.files import numbers_of, open_file, read_bytes, readable_size, utf8_path, write_bytes
+from hypose.io.files import numbers_of, read_bytes, readable_size, utf8_path, write_bytes
 from hypose.io.videos.video import (
     CameraImage,
     CameraSource,
@@ -294,21 +292,19 @@ def _short(error: Exception) -> str:
 # ---- depth files ---------------------------------------------------------------------------------------------------
 # Recordings of depth cameras of all known makes: their lens and their maps, one after the other.
 #
-# Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
+# Azure Kinect (.mkv), RealSense (.bag, .db3), and a folder of 16-bit PNG in millimetres with a
 # calibration.toml next to them (Orbbec and others export such frames).
 
 
-ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
+ENDINGS = (".mkv", ".bag", ".db3")
 # Depth modes of the Azure Kinect by size: side of the sensor's picture, px, and origin of the mode's picture in it.
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 FOLDER_RATE = 30.0
 """Frames per second of a folder of depth maps, where none is given."""
-# Largest unpacked size of one entry of a capture.
-_PACKED_BYTES = 64 * 2**20
 
 
 def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:
-    """Open a recording of one depth camera: .mkv, .bag, .db3, .r3d, or a folder of 16-bit PNG.
+    """Open a recording of one depth camera: .mkv, .bag, .db3, or a folder of 16-bit PNG.
 
     frame_rate: frames/s of a folder of maps.
     millimetres: size of one step of the values in a folder of maps, mm.
@@ -317,7 +313,7 @@ def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: f
     path = Path(path)
     if path.is_dir():
         return _folder(path, frame_rate, millimetres)
-    readers = {".mkv": _azure, ".bag": read_realsense, ".db3": read_realsense, ".r3d": _record3d}
+    readers = {".mkv": _azure, ".bag": read_realsense, ".db3": read_realsense}
     ending = path.suffix.lower()
     if ending not in readers:
         raise InputError(
@@ -415,61 +411,6 @@ def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int
     side, left, top = _MODES[size]
     lens = fx * side, fy * side, cx * side - left - 0.5, cy * side - top - 0.5
     return _pinhole(name, lens, size, np.array([k1, k2, p1, p2, k3, k4, k5, k6]))
-
-
-def _record3d(path: Path) -> DepthFile:
-    """Open a capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed with
-    LZFSE.
-    """
-    with numbers_of(f"{path}, read as a Record3D capture that says its lens,"):
-        archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
-        about = parse_json(_unpacked(archive, "metadata"))
-        k = [float(v) for v in about["K"]]
-        width, height = int(about["dw"]), int(about["dh"])
-        # K is stored column by column, for the colour pictures
-        sx, sy = width / int(about["w"]), height / int(about["h"])
-        lens = k[0] * sx, k[4] * sy, (k[6] + 0.5) * sx - 0.5, (k[7] + 0.5) * sy - 0.5
-        rate = float(about.get("fps", 60))
-    usable = 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 1 <= rate <= 1000
-    if not (usable and np.isfinite(lens).all() and min(lens[:2]) > 0):
-        raise InputError(
-            f"{path}: depth maps of {width} x {height} px, a lens of {lens[0]:g} px, {rate:g} Hz: unusable."
-        )
-    try:
-        library: Any = importlib.import_module("liblzfse")  # optional, so type checkers may not find it
-    except ImportError:
-        raise InputError(
-            "Record3D captures need pyliblzfse, which is not installed; run: pip install pyliblzfse."
-        ) from None
-    names = sorted((n for n in archive.namelist() if n.endswith(".depth")), key=_number)
-    if not names:
-        raise InputError(f"{path} has no depth; record it in Record3D with the depth sensor.")
-
-    def frames() -> Iterator[DepthFrame]:
-        for name in names:
-            try:
-                values = np.frombuffer(library.decompress(_unpacked(archive, name)), dtype="<f4")
-            except Exception:  # the library's own error
-                raise InputError(f"{path}: {name} is damaged; share it from the app again.") from None
-            if values.size != width * height:
-                raise InputError(f"{path}: {name} has {values.size} values, {width} x {height} were expected.")
-            depth = np.nan_to_num(values.reshape(height, width), nan=0.0, posinf=0.0, neginf=0.0)
-            time = (_number(name) - _number(names[0])) / rate
-            yield DepthFrame(time, np.maximum(depth, 0).astype(np.float32))
-
-    return DepthFile(_pinhole(path.stem, lens, (width, height)), frames())
-
-
-def _number(name: str) -> int:
-    stem = Path(name).stem
-    return int(stem) if stem.isdecimal() else 0
-
-
-def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
-    """Read an entry of a zip; BadZipFile where its stated size is above 64 MiB."""
-    if archive.getinfo(name).file_size > _PACKED_BYTES:
-        raise zipfile.BadZipFile(name)
-    return archive.read(name)
 
 
 # ---- depth sources -------------------------------------------------------------------------------------------------

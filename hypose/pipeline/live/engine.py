@@ -17,7 +17,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.warming import TRACKING_KERNELS, warm_up
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
-from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_models import depth_of
 from hypose.pipeline.live.background_work import BackgroundWork
@@ -280,7 +279,7 @@ class LiveEngine:
         reasons = ["no picture" if m is None else w for m, w in zip(masks, why, strict=True)]
         silhouettes = make_silhouettes(masks, self.small, reasons)
         outlines = [None if v is None else v[1] for v in captured.views]
-        make_ahead(silhouettes, lambda: outlines)
+        silhouettes.announce_outlines(lambda: outlines)
         depth = depth_of(silhouettes, captured.depths) if any_depth(self.views) else None
         frame = Frame(captured.time, self._frames, silhouettes, depth=depth)
         self._frames += 1

@@ -361,7 +361,9 @@ class LiveTrack(TrackedPerson):
         joints = np.asarray(motion.joints[0], np.float64)
         if self._shift is not None:
             joints = joints + self._shift
-        return LivePose(self.number, frame.index, frame.time, motion, tracker.body, joints, frame.usable_views)
+        return LivePose(
+            self.number, frame.index, frame.time, motion, tracker.body, joints, frame.the(Silhouettes).usable
+        )
 
     def judge(self) -> None:
         """Update the error probabilities from the last frame; call it after `pose`, in the order of the frames."""

@@ -18,6 +18,7 @@ from hypose.compute.parts import projected
 from hypose.compute.zbuffer import draw_faces, inverse_depth
 from hypose.evidence.edges_flow import Flow
 from hypose.fitting.problem import Posed, Rows
+from hypose.fitting.rows import contour_points
 from hypose.geometry import Array
 from hypose.tracking.monocular.settings import EdgeSettings, FlowSettings, Loss
 
@@ -152,33 +153,20 @@ def contour_nodes(view: View, moving: NDArray[np.bool_], spacing: float) -> Node
     front of it and its outer side shows a surface well behind it (the background: infinitely far). Else it is occluded
     (kept), or not a contour (omitted).
     """
-    edges, faces, uv = np.asarray(view.posed.mesh.edges), np.asarray(view.posed.mesh.faces), view.uv
-    on = (view.front[edges[:, 2]] != view.front[edges[:, 3]]) & (moving & (view.depth > _CLOSEST_M))[edges[:, :2]].all(
-        1
-    )
-    edges = edges[on].astype(np.int64)
-    way = uv[edges[:, 1]] - uv[edges[:, 0]]
-    length = np.hypot(way[:, 0], way[:, 1])
-    long = length >= 0.3
-    edges, way, length = edges[long], way[long], length[long]
-    face = np.where(view.front[edges[:, 2]], edges[:, 2], edges[:, 3])
-    third = faces[face].sum(1) - edges[:, 0] - edges[:, 1]
-    normal = np.stack([way[:, 1], -way[:, 0]], 1) / length[:, None]
-    normal *= np.where((normal * (uv[third] - uv[edges[:, 0]])).sum(1) > 0, -1.0, 1.0)[:, None]
-    parts = np.clip((length / spacing + 0.5).astype(np.int64), 1, _MOST_PARTS)
-    of = np.repeat(np.arange(len(parts)), parts)
+    edges, uv = np.asarray(view.posed.mesh.edges), view.uv
+    edges = edges[(moving & (view.depth > _CLOSEST_M))[edges[:, :2]].all(1)]
+    parts = lambda length: np.clip((length / spacing + 0.5).astype(np.int64), 1, _MOST_PARTS)  # noqa: E731
     # the place in space, so that the node is a fixed point of the body
-    place = (np.arange(len(of)) - (np.cumsum(parts) - parts)[of] + 0.5) / parts[of]
-    ends = edges[of, :2]
+    ends, place, length, across = contour_points(edges, view.front, uv, 0.3, parts)
     share = np.stack([1 - place, place], 1) * view.depth[ends]
     depth = share.sum(1)
-    at, across = (share[..., None] * uv[ends]).sum(1) / depth[:, None], normal[of]
+    at = (share[..., None] * uv[ends]).sum(1) / depth[:, None]
     inner, outer = (np.floor(at + d * across + 0.5).astype(np.int64) for d in (-INNER, OUTER))
     within = (np.minimum(inner, outer) >= _BORDER) & (np.maximum(inner, outer) < view.size - _BORDER)
     behind = view.depths(outer)
     hidden = (behind < depth - _HIDDEN) | (view.depths(inner) < depth - ROUND)
     kept = within.all(1) & (hidden | (behind > depth + BEYOND))
-    return Nodes(ends, place, at, depth, across, (length / parts)[of], ~hidden).among(kept)
+    return Nodes(ends, place, at, depth, across, length, ~hidden).among(kept)
 
 
 def line_search(

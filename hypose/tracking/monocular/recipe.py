@@ -20,7 +20,6 @@ from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array, nearest_branch, so3_left_jacobian
-from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.resampling import keep
 from hypose.tracking.monocular.picture_search import PictureSearch
@@ -193,13 +192,8 @@ def picture_recipe(search: PictureSearch) -> Recipe:
         search.settings.search.hypotheses,
         ("picture",),
         predict=None,
-        estimate=_best,
+        estimate=lambda h: h.values[best_of(h)],
         uncertainty=search.uncertainty,
         lost=search.lost,
         smooth=partial(solve_clip, active=active),
     )
-
-
-def _best(h: Hypotheses, /) -> Array:
-    """Return the pose of the best candidate that is not a sample."""
-    return h.values[best_of(h)]
