@@ -103,7 +103,9 @@ def read_table(path: Path, **more: Any) -> list[Task]:  # noqa: ANN401 (of diffe
     Returns: tasks; `ordered_tasks` plans them.
     Raises: InputError names the line and the allowed values.
     """
-    reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
+    # a single carriage return in a line would end the row
+    lines = [line.replace("\r", " ") for line in text_lines(path, "a table of recordings")]
+    reader = csv.DictReader(lines, restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_COLUMNS_OF_TRACK}
     if unknown or "recording" not in (reader.fieldnames or ()):
         wrong = f"there is no column {min(unknown)!r}" if unknown else "the column 'recording' is missing"
