@@ -330,7 +330,9 @@ class Watching:
                     f"The model of {m.name!r} has no threshold yet: its session ended before gesture and movement were "
                     "seen; train on, or give --threshold."
                 )
-        self.limits = [EventSettings(threshold or m.threshold or 0, hold_s=hold_s, refractory_s=rest_s) for m in models]
+        self.limits: list[EventSettings] = [
+            EventSettings(threshold or m.threshold or 0, hold_s=hold_s, refractory_s=rest_s) for m in models
+        ]
         self.settings = LocaliseSettings(adaptation_rate=adaptation_rate)
         self._forests, self._scratch, self._state = [m.learner.forest.freeze() for m in models], Scratch(), EventState()
 

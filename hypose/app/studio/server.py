@@ -75,12 +75,12 @@ class Studio:
     """
 
     def __init__(self, root: Path, host: str = "127.0.0.1", token: str | None = None) -> None:
-        self.token = token_for(host, token)
-        self.catalog = Catalog(root)
-        self.jobs = Jobs(self.catalog)
-        self.recordings = Recordings(self.catalog)
-        self.results = Results(self.catalog, self.recordings)
-        self.gestures = GestureTopic(self.catalog)
+        self.token: str = token_for(host, token)
+        self.catalog: Catalog = Catalog(root)
+        self.jobs: Jobs = Jobs(self.catalog)
+        self.recordings: Recordings = Recordings(self.catalog)
+        self.results: Results = Results(self.catalog, self.recordings)
+        self.gestures: GestureTopic = GestureTopic(self.catalog)
         self.fusion, self.cameras = FuseTopic(self.catalog), CameraTopic(self.catalog)
         topics = {t.name: t for t in (self.jobs, self.gestures, self.fusion, self.cameras)}
         sockets = WebSocketRoute("/ws/{topic}", partial(serve_topics, topics))
@@ -95,7 +95,7 @@ class Studio:
                 ),
             },
         )
-        self.app = Guard(self._routed, self.token)
+        self.app: Guard = Guard(self._routed, self.token)
 
     def state(self) -> dict[str, Any]:
         """Return all recordings, results and other items for the page's lists."""

@@ -135,9 +135,9 @@ class LiveEngine:
         if people > 1:
             self._options = replace(self._options, silhouettes=self._options.silhouettes.of_all_people)
         self.views, self.rig = tuple(views), rig
-        self.small = live_working_rig(rig, views)
-        self.listeners = list(listeners)
-        self.ended = threading.Event()
+        self.small: CameraRig = live_working_rig(rig, views)
+        self.listeners: list[Listener] = list(listeners)
+        self.ended: threading.Event = threading.Event()
         self.failed: BaseException | None = None
         self._capture: CaptureProcess | None = None
         self._executor = ThreadPoolExecutor(min(people, 2), thread_name_prefix="start")
