@@ -280,7 +280,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
     most: largest difference that counts, m.
     rough: estimate by `_roughly` instead of drawing.
     """
-    joints, moved, twists = standing.joints, standing.vertices, np.empty((poses.shape[1], 6))
+    joints, moved = standing.joints, standing.vertices
     rotations, centres, drawn = standing.rotations.copy(), standing.centres.copy(), standing.drawn
     maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty(mesh.vertices.shape, np.float32)
     about, box = np.empty((4, vertices.shape[0]), np.float32), np.empty(4, np.int64)
@@ -292,7 +292,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, most, rough, 
     if not rough:
         drawn = drawn.copy()
     for n in range(first, last):
-        frames_of(poses[n], tree, joints, rotations, centres, twists)
+        frames_of(poses[n], tree, joints, rotations, centres, None)
         for k in range(joints.shape[0]):
             j = joints[k]
             bone_map(rotations[j], centres[j], tree.joints[j], maps[j])

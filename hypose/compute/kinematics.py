@@ -17,19 +17,6 @@ from hypose.geometry import Array
 
 
 @kernel
-def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
-    """Compute the rotation matrix of a rotation vector, and its left Jacobian.
-
-    x, y, z: the rotation vector, rad.
-    rotation: (3, 3) gets exp of the vector.
-    jacobian: (3, 3) gets the left Jacobian: to first order exp(v + dv) = exp(jacobian dv) exp(v).
-    """
-    a, b, c, t2 = _rodrigues(x, y, z)
-    _turning(x, y, z, t2, a, b, rotation)
-    _turning(x, y, z, t2, b, c, jacobian)
-
-
-@kernel
 def _rodrigues(x, y, z):
     """Return sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 for a rotation vector of length t.
 
@@ -110,51 +97,57 @@ def frames_of(q, tree, joints, rotations, centres, twists):
     tree: joint tree of the body.
     joints: (K,) indices of the joints to compute, parents before their children.
     rotations, centres, twists: (J, 3, 3) world_from_joint, (J, 3) m and (D, 6), as `joint_frames` describes them;
-        the rows of these joints and of their dof are filled, other rows stay as they are.
+        the rows of these joints and of their dof are filled, other rows stay as they are. twists may be None.
     """
-    local, jacobian = np.empty((3, 3)), np.empty((3, 3))
-    turned, frame = np.empty((3, 3)), np.empty((3, 3))
+    work = np.empty((4, 3, 3))
+    local, jacobian, turned, frame = work[0], work[1], work[2], work[3]
     for m in range(joints.shape[0]):
         j = joints[m]
-        a = tree.parents[j]
-        if a < 0:
+        up = tree.parents[j]
+        if up < 0:
             for i in range(3):
                 centres[j, i] = 0.0
                 for k in range(3):
                     frame[i, k] = 1.0 if i == k else 0.0
         else:
-            _copy(rotations[a], frame)
-            dx = tree.joints[j, 0] - tree.joints[a, 0]
-            dy = tree.joints[j, 1] - tree.joints[a, 1]
-            dz = tree.joints[j, 2] - tree.joints[a, 2]
+            _copy(rotations[up], frame)
+            dx = tree.joints[j, 0] - tree.joints[up, 0]
+            dy = tree.joints[j, 1] - tree.joints[up, 1]
+            dz = tree.joints[j, 2] - tree.joints[up, 2]
             for i in range(3):
-                centres[j, i] = (
-                    centres[a, i] + rotations[a, i, 0] * dx + rotations[a, i, 1] * dy + rotations[a, i, 2] * dz
-                )
+                centres[j, i] = centres[up, i] + frame[i, 0] * dx + frame[i, 1] * dy + frame[i, 2] * dz
         first = tree.dof_start[j]
         if tree.kind[j] == BALL:
-            so3_exp_and_jacobian(q[first], q[first + 1], q[first + 2], local, jacobian)
-            multiply(frame, jacobian, turned)
-            for n in range(3):
-                for i in range(3):
-                    twists[first + n, i] = turned[i, n]
+            x, y, z = q[first], q[first + 1], q[first + 2]
+            a, b, c, t2 = _rodrigues(x, y, z)
+            _turning(x, y, z, t2, a, b, local)
+            if twists is not None:
+                _turning(x, y, z, t2, b, c, jacobian)
+                multiply(frame, jacobian, turned)
+                for n in range(3):
+                    for i in range(3):
+                        twists[first + n, i] = turned[i, n]
             multiply(frame, local, rotations[j])
         elif tree.kind[j] == HINGES:
             for n in range(tree.dof_count[j]):
                 d = first + n
                 ax, ay, az = tree.axes[d, 0], tree.axes[d, 1], tree.axes[d, 2]
-                for i in range(3):
-                    twists[d, i] = frame[i, 0] * ax + frame[i, 1] * ay + frame[i, 2] * az
-                so3_exp_and_jacobian(q[d] * ax, q[d] * ay, q[d] * az, local, jacobian)
+                if twists is not None:
+                    for i in range(3):
+                        twists[d, i] = frame[i, 0] * ax + frame[i, 1] * ay + frame[i, 2] * az
+                x, y, z = q[d] * ax, q[d] * ay, q[d] * az
+                a, b, c, t2 = _rodrigues(x, y, z)
+                _turning(x, y, z, t2, a, b, local)
                 multiply(frame, local, rotations[j])
                 _copy(rotations[j], frame)
         else:
             _copy(frame, rotations[j])
-        for n in range(tree.dof_count[j]):
-            s = twists[first + n]
-            s[3] = centres[j, 1] * s[2] - centres[j, 2] * s[1]
-            s[4] = centres[j, 2] * s[0] - centres[j, 0] * s[2]
-            s[5] = centres[j, 0] * s[1] - centres[j, 1] * s[0]
+        if twists is not None:
+            for n in range(tree.dof_count[j]):
+                s = twists[first + n]
+                s[3] = centres[j, 1] * s[2] - centres[j, 2] * s[1]
+                s[4] = centres[j, 2] * s[0] - centres[j, 0] * s[2]
+                s[5] = centres[j, 0] * s[1] - centres[j, 1] * s[0]
 
 
 @kernel

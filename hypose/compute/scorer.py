@@ -78,9 +78,9 @@ def skin_lanes(poses, first, tree, mesh, turning, rotations, centres, maps, poin
     maps: (J, 12, LANES) f4 rows of the (3, 4) affine maps by which joints carry the vertices at rest; likewise.
     points: (V, 3, LANES) f4 gets the vertices relative to each pose's root, m.
     """
-    last, twists, own = poses.shape[0] - 1, np.empty((poses.shape[1], 6)), np.empty(12, np.float32)
+    last, own = poses.shape[0] - 1, np.empty(12, np.float32)
     for k in range(LANES):
-        frames_of(poses[min(first + k, last)], tree, turning, rotations[k], centres[k], twists)
+        frames_of(poses[min(first + k, last)], tree, turning, rotations[k], centres[k], None)
         for n in range(turning.shape[0]):
             j = turning[n]
             bone_map(rotations[k, j], centres[k, j], tree.joints[j], own)
