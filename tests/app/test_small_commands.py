@@ -39,7 +39,8 @@ def test_a_folder_of_videos_becomes_a_recording(hypose, tiny, folder):
 
 def test_cameras_of_other_names_are_taken_in_their_order(hypose, tiny, folder):
     text = (tiny / "calibration.toml").read_text()
-    (folder / "calibration.toml").write_text(text.replace("cam", "left-"))
+    (folder / "calibration").mkdir()
+    (folder / "calibration" / "Calib_of_the_room.toml").write_text(text.replace("cam", "left-"))
     code, out, err = hypose("init", folder)
     assert code == 0 and "hypose check" in out, err
     assert load_recording(folder).rig.names == ("left-1", "left-2", "left-3", "left-4")

@@ -31,7 +31,8 @@ def init(
     """Write the recording.toml of a folder with videos, one per camera.
 
     It reads the folder and the folders in it, and never overwrites a recording.toml. Files named background or empty
-    show the empty room, files named board or calib are for hypose calibrate.
+    show the empty room, videos named board or calib are for hypose calibrate. A calibration is named calib*.toml, or is
+    the only .toml in a folder calib*.
     """
     from hypose.calibration.views import find_sources
     from hypose.io.videos.video import VIDEO_ENDINGS
@@ -54,14 +55,15 @@ def init(
         places = ", ".join(sorted({str(p.parent) for p in videos}))
         raise InputError(f"{folder} holds videos in several places ({places}); make a folder for each recording.")
     names = [source.name for source in find_sources([folder / v for v in videos])]
-    calibration = folder / "calibration.toml"
+    made = [*folder.glob("[Cc]alib*.toml"), *folder.glob("[Cc]alib*/*.toml")]
+    calibration = made[0] if len(made) == 1 else folder / "calibration.toml"
     views = []
     for video, name in zip(videos, names, strict=True):
         room = next((p for p in rooms if p.stem.startswith(video.stem)), None)
         shown = None if room is None else room.as_posix()
         views.append({"name": name, "video": video.as_posix(), "background": shown})
         say(f"{name}: {video}" + ("" if room is None else f", empty room {room}"))
-    head = {"name": folder.resolve().name, "calibration": calibration.name}
+    head = {"name": folder.resolve().name, "calibration": calibration.relative_to(folder).as_posix()}
     write_text(target, toml_text({**head, "view": views}))
     say(f"Written: {target}; names and empty rooms can be corrected there (docs/recordings.md).")
     if calibration.is_file():
