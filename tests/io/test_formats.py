@@ -7,6 +7,7 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
+from hypose.evidence.frame import SensorReport
 from hypose.geometry import se3, so3_exp
 from hypose.io.calibrations.calibration_formats import CALIBRATIONS, read_any, write_calibration
 from hypose.io.keypoints.keypoint_files import KEYPOINTS
@@ -87,7 +88,7 @@ def test_what_is_written_comes_back(tmp_path, rng, small_motion, small_body, tab
         writer = one.write(tmp_path / "rec")
         points = rng.normal(size=(8, 3, 3))
         for n, body in enumerate(points):
-            writer.add("a", n / 30, 3, ("head", "neck", "torso"), body, np.full(3, 2, np.uint8))
+            writer.add(SensorReport("a", n / 30, 3, ("head", "neck", "torso"), body, np.full(3, 2, np.uint8)))
         writer.close()
         (stream,) = read_skeletons(tmp_path / "rec").streams
         np.testing.assert_allclose(stream.positions[:, 0], points, atol=one.precision)

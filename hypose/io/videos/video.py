@@ -454,10 +454,11 @@ def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> c
     Raises: InputError where it cannot be opened.
     Why: only FFmpeg is used, because OpenCV's other back ends take numbers in file names for image sequences.
     """
-    if not path.is_file():
-        raise InputError(f"The video {path} does not exist; check the file name in recording.toml.")
-    if path.stat().st_size == 0:
-        raise InputError(f"The video {path} is empty (0 bytes); record or copy it again.")
+    faults = {
+        "does not exist; check the file name in recording.toml": not path.is_file(),
+        "is empty (0 bytes); record or copy it again": path.is_file() and path.stat().st_size == 0,
+    }
+    refuse(f"The video {path} ", faults)
     with quiet(), utf8_path(path) as name:
         try:
             how = [] if threads is None else [cv2.CAP_PROP_N_THREADS, threads]
