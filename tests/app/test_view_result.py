@@ -128,7 +128,7 @@ def test_a_report_carries_the_result_and_pictures(folder, built):
 def test_without_the_front_end_a_report_has_its_text(folder, built):
     (built / "report.js").unlink()
     page = report_html(load_view(folder))
-    assert "<script" not in page and "hypose-viewer" not in page and "Joint angles" in page
+    assert "<script" not in page and "hypose-viewer" not in page and "Subject" in page
 
 
 def test_the_report_command_writes_where_it_is_told(folder, built, hypose, tmp_path):
