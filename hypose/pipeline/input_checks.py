@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -21,12 +22,13 @@ from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
+from hypose.io.videos.video import evenly_spread
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.moved_sensors import moved_sensors
 from hypose.pipeline.passes import ClipState, Pass, find_people, solve_keypoints, track_clip
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.sources import FrameList, FrameSource, RecordedFrames, placed_source
-from hypose.pipeline.subject import measured_height
+from hypose.pipeline.sources import ChangedFrames, FrameList, FrameSource, RecordedFrames, placed_source
+from hypose.pipeline.subject import measured_height, overlaps
 
 
 def check_inputs(
@@ -163,6 +165,41 @@ def place_sensors(clip: ClipState) -> ClipState:
     return track_clip(clip, checkpoint=False)
 
 
+def leave_out_masks(clip: ClipState) -> ClipState:
+    """Leave out the masks of a camera that contradict those of all others, and find and track the person again.
+
+    Why: a network that sees the person from the ceiling gives masks of a wrong shape in every frame, which distort the
+    body and its poses. The camera is the one whose masks the tracked body misses by far the most; three others remain.
+    """
+    if not clip.complete or clip.finder is not None or clip.source.frame(0).of(Depth):
+        return clip
+    rows = evenly_spread(0, len(clip.estimates), SETTINGS.masks_frames)
+    poses = np.stack([clip.estimates[t].pose for t in rows])
+    found = overlaps(clip.who.body, poses, [clip.source.frame(t) for t in rows])
+    seen = np.flatnonzero(np.isfinite(found).mean(0) > 0.5)
+    missed = 1 - np.nanmedian(found[:, seen], axis=0)
+    if len(seen) < 4 or missed.max() < SETTINGS.masks_apart * np.median(missed):
+        return clip
+    worst, names = int(seen[missed.argmax()]), clip.source.frame(0).the(Silhouettes).rig.names
+    text = (
+        f"{names[worst]}: its masks overlap with the body by {1 - missed.max():.2f}, those of the others by "
+        f"{1 - np.median(missed):.2f}; they contradict all other cameras and are left out"
+    )
+    clip = clip.with_findings(Finding("masks", (names[worst],), text, "look at its masks", severity=REVIEW))
+    clip = replace(clip, source=ChangedFrames(clip.source, partial(_unmasked, worst), range(len(clip.source))))
+    subject = clip.who if clip.given else clip.find(clip)
+    return track_clip(replace(clip, people=(clip.at_start(subject),), notes=subject.notes), checkpoint=False)
+
+
+def _unmasked(view: int, _: int, frame: Frame) -> Frame:
+    """Return the frame without the mask of a view."""
+    given = frame.the(Silhouettes)
+    kept = np.arange(len(given.rig)) != view
+    reasons = tuple(r if k else "it contradicts all others" for k, r in zip(kept, given.reasons, strict=True))
+    masks = np.where(kept[:, None, None], given.masks, np.uint8(0))
+    return replace(frame, silhouettes=replace(given, masks=masks, usable=given.usable & kept, reasons=reasons))
+
+
 def check_height(clip: ClipState) -> ClipState:
     """Check whether the body's height is plausible, and compare a given height or body with the height that masks or
     depth show; add the findings.
@@ -189,7 +226,7 @@ def check_height(clip: ClipState) -> ClipState:
     return clip.with_findings(Finding("height", (), text, size=off, severity=severity))
 
 
-CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, check_height)
+CHECKED: tuple[Pass, ...] = (check_evidence, find_people, track_clip, place_sensors, leave_out_masks, check_height)
 """Passes of one or more people together, with the checks of a recording's cameras."""
 CHECKED_KEYPOINTS: tuple[Pass, ...] = (check_evidence, find_people, solve_keypoints)
 """The same where the key points of all frames are solved together; then the passes `SOLVED_TOGETHER` run."""

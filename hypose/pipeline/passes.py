@@ -533,6 +533,7 @@ SOLVED_TOGETHER: tuple[Pass, ...] = (judge_joints, keep_motion)
 """Passes of one person after `solve_keypoints`."""
 REASONS = {
     "place_sensors": "depth cameras stood elsewhere than the recording says; all frames were tracked again",
+    "leave_out_masks": "the masks of one camera contradicted all others: tracked again without them",
     "correct_sides": "left and right were exchanged, or the body was lost: tracked again from a better pose",
     "correct_beginning": "tracked backwards to the beginning from where the person was found",
     "track_backwards": "an arm jumped: tracked backwards in time from behind the jump",

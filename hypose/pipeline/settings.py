@@ -150,6 +150,9 @@ class PipelineSettings:
     mesh_most_far: Share of samples farther than 5 % of the stature from the template above which the mesh is no person
         in a known pose: 0.000 for 30 scans of ten people in three poses, 0.07 and more for people squeezed to half
         their width and less.
+    masks_frames, masks_apart: Frames in which the cameras' masks are compared with the body; how many times as large as
+        usual a camera's share of missed area must be, to be left out. A network's masks from the ceiling (cross_arms,
+        seeds 7504 to 7534) had 1.7 to 3.2 times, other cameras up to 1.4 times.
     moved_off_degrees, moved_off_m: Rotation (degrees) and displacement at the person (m) from which a sensor counts as
         moved. The rotation about a person who does not turn is hardly visible (2.4 degrees with right cameras, in 1 s),
         and matters as little.
@@ -381,6 +384,8 @@ class PipelineSettings:
     mesh_samples: int = 2500
     mesh_coarse: int = 550
     mesh_most_far: float = 0.04
+    masks_frames: int = 16
+    masks_apart: float = 2.0
     moved_off_degrees: float = 4.0
     moved_off_m: float = 0.025
     moved_frames: int = 12
