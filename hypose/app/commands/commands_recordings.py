@@ -67,7 +67,7 @@ def init(
     write_text(target, toml_text({**head, "view": views}))
     say(f"Written: {target}; names and empty rooms can be corrected there (docs/recordings.md).")
     if calibration.is_file():
-        say(f"Next: hypose check {where}")
+        say(f"Next: hypose check {where}" if rooms else f"Next: hypose keypoints {where}, then hypose check {where}")
     else:
         say(
             f"Next: hypose calibrate BOARD_VIDEOS --square 30mm --out {shlex.quote(str(calibration))}, or without a "
