@@ -174,8 +174,10 @@ def leave_out_masks(clip: ClipState) -> ClipState:
     if not clip.complete or clip.finder is not None or clip.source.frame(0).of(Depth):
         return clip
     rows = evenly_spread(0, len(clip.estimates), SETTINGS.masks_frames)
-    poses = np.stack([clip.estimates[t].pose for t in rows])
-    found = overlaps(clip.who.body, poses, [clip.source.frame(t) for t in rows])
+    frames = {t: f for t in rows for f in (clip.source.frame(t),) for s in f.of(Silhouettes) if s.usable.any()}
+    if not frames:
+        return clip
+    found = overlaps(clip.who.body, np.stack([clip.estimates[t].pose for t in frames]), list(frames.values()))
     seen = np.flatnonzero(np.isfinite(found).mean(0) > 0.5)
     missed = 1 - np.nanmedian(found[:, seen], axis=0)
     if len(seen) < 4 or missed.max() < SETTINGS.masks_apart * np.median(missed):
@@ -193,11 +195,12 @@ def leave_out_masks(clip: ClipState) -> ClipState:
 
 def _unmasked(view: int, _: int, frame: Frame) -> Frame:
     """Return the frame without the mask of a view."""
-    given = frame.the(Silhouettes)
-    kept = np.arange(len(given.rig)) != view
-    reasons = tuple(r if k else "it contradicts all others" for k, r in zip(kept, given.reasons, strict=True))
-    masks = np.where(kept[:, None, None], given.masks, np.uint8(0))
-    return replace(frame, silhouettes=replace(given, masks=masks, usable=given.usable & kept, reasons=reasons))
+    for given in frame.of(Silhouettes):
+        kept = np.arange(len(given.rig)) != view
+        reasons = tuple(r if k else "it contradicts all others" for k, r in zip(kept, given.reasons, strict=True))
+        masks = np.where(kept[:, None, None], given.masks, np.uint8(0))
+        return replace(frame, silhouettes=replace(given, masks=masks, usable=given.usable & kept, reasons=reasons))
+    return frame
 
 
 def check_height(clip: ClipState) -> ClipState:
