@@ -25,9 +25,9 @@ from tests.conftest import HANG_S
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """Two recordings of 60 and 6 frames; read only."""
+    """Two recordings of 200 and 6 frames; read only."""
     folder = tmp_path_factory.mktemp("study")
-    for name, seed, frames in (("long", 1, 60), ("short", 2, 6)):
+    for name, seed, frames in (("long", 1, 200), ("short", 2, 6)):
         write_masks(small_scene(seed, frames), folder / name)
     return folder
 
@@ -185,10 +185,11 @@ def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
     command = [sys.executable, "-m", "hypose.app", "batch", str(table(study, tmp_path)), "--workers", "1"]
     command += ["--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, process_group=0)
-    deadline = time.monotonic() + HANG_S
-    while not any(tmp_path.glob("out/long/*/checkpoint.npz")):
+    deadline, written = time.monotonic() + HANG_S, set[int]()
+    while len(written) < 2:  # the first is of the start, the next of tracked frames
         assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.05)
+        written |= {path.stat().st_mtime_ns for path in tmp_path.glob("out/long/*/checkpoint.npz")}
+        time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers get it too
     said, _ = process.communicate(timeout=HANG_S)
     assert process.returncode == 130 and "Go on with the same command" in said
