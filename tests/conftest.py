@@ -3,6 +3,7 @@ nothing is left behind, and what was not tested is said at the end."""
 
 import contextlib
 import os
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,9 @@ from tests import missing
 for name, place in contained({}).items():
     if name != "TMPDIR":
         os.environ.setdefault(name, place)
+
+# A script that starts the tests in the background lets them ignore Ctrl-C, and with them every program they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parent.parent
 LAST_TEST = Path(LAST_TEST_FILE)
