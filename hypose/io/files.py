@@ -107,7 +107,7 @@ def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes
     """
     try:
         with open_file(path, kind, limit, least) as stream:
-            return stream.read(limit)
+            return stream.read(os.fstat(stream.fileno()).st_size)  # read(limit) would allocate the limit
     except OSError as error:
         raise unreadable(path, error) from None
 
