@@ -186,6 +186,8 @@ def find_anomalies(
     worse = _worse(overlap, known, frame_rate)
     for c, name in enumerate(names):
         out += [repeated[1 + c], (f"{name} disagrees with the other views", worse[:, c])]
+    doubted = np.any([frames for _, frames in out], axis=0)
+    out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
 
 
@@ -255,6 +257,26 @@ def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -
     gap = max(1, round(frame_rate))
     closed = binary_closing(np.pad(lasting, gap), np.ones(gap + 1))[gap:-gap]
     return np.asarray(closed, dtype=bool)
+
+
+def _not_back(
+    overlap: Array, doubted: NDArray[np.bool_], known: NDArray[np.bool_], frame_rate: float
+) -> NDArray[np.bool_]:
+    """Find frames (T,) after doubtful frames in which the overlap stays below that of the good frames before. Why: the
+    disturbance may have turned the body around or displaced an arm.
+    """
+    out = np.zeros(len(known), dtype=bool)
+    half = max(3, round(0.5 * frame_rate))
+    seen = known & np.isfinite(overlap).any(1)
+    mean = np.zeros(len(known))
+    mean[seen] = np.nanmean(overlap[seen], 1)
+    smooth, limit = median_filter(mean, half, mode="nearest"), float("nan")
+    for t in range(1, len(out)):
+        if doubted[t] and not (doubted[t - 1] or out[t - 1]):
+            good = seen[:t] & ~doubted[:t] & ~out[:t]
+            limit = float(np.median(mean[:t][good])) - SETTINGS.anomaly_less if good.sum() >= half else float("nan")
+        out[t] = smooth[t] < limit and not doubted[t] and (doubted[t - 1] or out[t - 1])
+    return out
 
 
 def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:

@@ -26,12 +26,13 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
 from hypose.io.files import file_name, text_of
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.recordings.recording_views import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.moved_sensors import solve_places
+from hypose.pipeline.recorded_frames import count_people
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import FrameList
@@ -149,11 +150,20 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
+            shared, many = list[str](), FrameSettings(silhouettes=recording.silhouettes, people=True)
+            for view, camera in zip(views, cameras, strict=True) if empty else ():
+                with FrameStream(_recording(folder, CameraRig((camera,)), [view], rate), many) as frames:
+                    if count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1:
+                        shared.append(view.name)
+            if shared:
+                first_s = SETTINGS.placing_looked_at / rate
+                raise type(error)(
+                    f"Several people stand before {' and '.join(shared)}, and the places of cameras are found from one "
+                    f"person alone: let one move before all of them for the first {first_s:.0f} s, and the "
+                    f"others come then. ({error})"
+                ) from error
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
-            raise type(error)(
-                f"{error} One person alone must move before all cameras meanwhile; by their maps the cameras hang "
-                f"above the floor: {places}."
-            ) from error
+            raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
         late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
         _arrange(folder, views, [order[skip:] for order, skip in zip(orders, late, strict=True)], cameras)
         # the lenses are those of the maps as they were written; the clips have smaller ones without distortion

@@ -22,13 +22,12 @@ from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes, pieces_of
 from hypose.evidence.keypoint_check import disagreement
-from hypose.io.videos.video import evenly_spread
 from hypose.pipeline.assessment import other_people_note
 from hypose.pipeline.moved_sensors import moved_sensors
 from hypose.pipeline.passes import ClipState, Pass, find_people, solve_keypoints, track_clip
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.sources import ChangedFrames, FrameList, FrameSource, RecordedFrames, placed_source
-from hypose.pipeline.subject import measured_height, overlaps
+from hypose.pipeline.subject import measured_height
 
 
 def check_inputs(
@@ -173,11 +172,7 @@ def leave_out_masks(clip: ClipState) -> ClipState:
     """
     if not clip.complete or clip.finder is not None or clip.source.frame(0).of(Depth):
         return clip
-    rows = evenly_spread(0, len(clip.estimates), SETTINGS.masks_frames)
-    frames = {t: f for t in rows for f in (clip.source.frame(t),) for s in f.of(Silhouettes) if s.usable.any()}
-    if not frames:
-        return clip
-    found = overlaps(clip.who.body, np.stack([clip.estimates[t].pose for t in frames]), list(frames.values()))
+    found = np.stack([e.seen[:, 0] for e in clip.estimates])  # overlap of the body with each mask
     seen = np.flatnonzero(np.isfinite(found).mean(0) > 0.5)
     missed = 1 - np.nanmedian(found[:, seen], axis=0)
     if len(seen) < 4 or missed.max() < SETTINGS.masks_apart * np.median(missed):

@@ -38,8 +38,10 @@ class PipelineSettings:
         anomaly_worse and by anomaly_spread times the usual spread, and that of the other views is not half as far below
         theirs. Chosen on clean walks (seeds 0 and 3).
     anomaly_stranger: Mask part apart from the body, as a share of the body's area, that counts as another person where
-        it is in two views and in half of all. Chosen on walks with and without another person
+        it is in two views and in half of all. Chosen, like anomaly_less, on walks with and without another person
         (seeds 10 to 13).
+    anomaly_less: Decrease of the mean overlap, compared with before a disturbance, from which tracking counts as not
+        recovered.
     anomaly_still: Usual change of a mask (share of its area) below which unchanged masks are no repeats: the person
         stands still.
     anomaly_still_points, anomaly_few_points: The same for key points, as a share of the person's size, above the
@@ -150,8 +152,8 @@ class PipelineSettings:
     mesh_most_far: Share of samples farther than 5 % of the stature from the template above which the mesh is no person
         in a known pose: 0.000 for 30 scans of ten people in three poses, 0.07 and more for people squeezed to half
         their width and less.
-    masks_frames, masks_apart: Frames in which the cameras' masks are compared with the body; how many times as large as
-        usual a camera's share of missed area must be, to be left out. A network's masks from the ceiling (cross_arms,
+    masks_apart: How many times as large as usual a camera's share of missed area must be for its masks to be left out.
+        A network's masks from the ceiling (cross_arms,
         seeds 7504 to 7534) had 1.7 to 3.2 times, other cameras up to 1.4 times.
     moved_off_degrees, moved_off_m: Rotation (degrees) and displacement at the person (m) from which a sensor counts as
         moved. The rotation about a person who does not turn is hardly visible (2.4 degrees with right cameras, in 1 s),
@@ -278,6 +280,7 @@ class PipelineSettings:
     anomaly_worse: float = 0.15
     anomaly_spread: float = 4.0
     anomaly_stranger: float = 0.15
+    anomaly_less: float = 0.06
     anomaly_still: float = 0.02
     anomaly_still_points: float = 0.0005
     anomaly_few_points: int = 6
@@ -384,7 +387,6 @@ class PipelineSettings:
     mesh_samples: int = 2500
     mesh_coarse: int = 550
     mesh_most_far: float = 0.04
-    masks_frames: int = 16
     masks_apart: float = 2.0
     moved_off_degrees: float = 4.0
     moved_off_m: float = 0.025

@@ -91,6 +91,12 @@ class SubjectOptions:
         allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
         if self.start not in allowed:
             raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
+        for name, value, low, high, unit in (
+            ("height", self.height, 0.5, 2.5, "m"),
+            ("mass", self.mass, 8.0, 350.0, "kg"),
+        ):
+            if value is not None and not low <= value <= high:
+                raise InputError(f"A {name} of {value:g} {unit} is no person's; give {low:g} to {high:g} {unit}.")
 
     @property
     def poses(self) -> Sequence[str]:
